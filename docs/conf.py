@@ -17,6 +17,7 @@ sys.path[:0] = [str(HERE), str(HERE.parent)]
 import generate  # noqa: E402
 
 import pixelid  # noqa: E402
+from pixelid.report.pixel_view import view_page  # noqa: E402
 
 project = "pixelid"
 version = release = pixelid.__version__
@@ -29,7 +30,7 @@ html_theme = "furo"
 html_title = f"pixelid {release}"
 html_extra_path = ["schemas"]
 html_static_path = ["static"]
-html_css_files = ["equations.css"]
+html_css_files = ["equations.css", "home.css"]
 html_show_sphinx = False
 html_math_renderer = "mathml"
 pygments_style = "default"
@@ -41,6 +42,12 @@ REQUESTS = re.compile(r"<(?:script|img|iframe|link)\b[^>]*\b(?:src|href)=\"(?:ht
 def write_generated(app: Sphinx) -> None:
     """Write the pages made from code and from benchmark results."""
     generate.write_all(HERE / "_generated")
+
+
+def write_pixel(app: Sphinx, exception: Exception | None) -> None:
+    """Write the page with a pixel to play with, to which the home page links."""
+    if exception is None and app.builder.format == "html":
+        (Path(app.outdir) / "pixel.html").write_text(view_page(), encoding="utf-8")
 
 
 def refuse_requests(app: Sphinx, exception: Exception | None) -> None:
@@ -68,5 +75,6 @@ def setup(app: Sphinx) -> dict[str, bool]:
     """Register the renderer of equations, the generated pages and the check of the built ones."""
     app.add_html_math_renderer("mathml", (visit_inline, None), (visit_block, None))
     app.connect("builder-inited", write_generated)
+    app.connect("build-finished", write_pixel)
     app.connect("build-finished", refuse_requests)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -16,6 +17,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import measured
+import method_figures
+import notebook_pages
 import reference
 from page_parts import ROOT, percent, table
 
@@ -69,6 +72,7 @@ def lowlight() -> str:
         command = [sys.executable, "-m", "pixelid", "lowlight", "dvs128", "--out", str(out), "--quiet"]
         subprocess.run(command, check=True, env=environment)
         result = json.loads((out / "lowlight.json").read_text())
+        shutil.copy(out / "poles.svg", GENERATED / "lowlight_poles.svg")
     lines = []
     for approximation, quantities in result["errors"].items():
         if approximation == "at_dark" and result["dark_radiance"] == 0:
@@ -145,8 +149,8 @@ def _meaning(entry: dict) -> str:
         kind = " or ".join(
             filter(None, (_meaning({k: v for k, v in one.items() if k != "description"}) for one in entry["anyOf"]))
         )
-    said = entry.get("description", "")
-    return f"{kind}: {said}" if kind and said else kind or said or "any"
+    description = entry.get("description", "")
+    return f"{kind}: {description}" if kind and description else kind or description or "any"
 
 
 def sensors() -> str:
@@ -192,11 +196,17 @@ def sensors() -> str:
     return "\n".join(lines)
 
 
+def lowlight_figure() -> str:
+    """The figure that `lowlight` has left."""
+    return "![Poles, bandwidth and step time of `dvs128` over radiance](../_generated/lowlight_poles.svg)\n"
+
+
 PAGES: dict[str, Callable[[], str]] = {
     "sensors": sensors,
     "effects": effect_library,
     "commands": commands,
     "lowlight": lowlight,
+    "figure_lowlight": lowlight_figure,
     "lowlight_latencies": lowlight_latencies,
     "certification": measured.certification,
     "described": measured.described,
@@ -206,7 +216,6 @@ PAGES: dict[str, Callable[[], str]] = {
     "conform_results": measured.conform_results,
     "combinations": measured.combinations,
     "independent": measured.independent,
-    "single_sessions": measured.single_sessions,
     "coverage": measured.coverage,
     "faults": measured.faults,
     "fuzzing": measured.fuzzing,
@@ -218,6 +227,8 @@ PAGES: dict[str, Callable[[], str]] = {
     "moving_plane": measured.moving_plane,
     "schemas": schemas,
     "api": reference.page,
+    **method_figures.PAGES,
+    **notebook_pages.PAGES,
 }
 
 

@@ -1,4 +1,4 @@
-"""What benchmarks and surveys of faults measured, as pages: from the files that they wrote."""
+"""What benchmarks and surveys of faults measured, as tables: from the files that they wrote."""
 
 from __future__ import annotations
 
@@ -43,16 +43,15 @@ def certification() -> str:
         (cell, ", ".join(f"{verdict} ({count})" for verdict, count in verdicts.items()))
         for cell, verdicts in summary["confusion"].get("effect left out", {}).items()
     ]
-    earlier = sum(bool(run.get("earlier_code")) for run in runs)
+    note = _of_earlier_versions(runs)
     heads = ("effect", *(f"× {factor}" for factor in factors), "median error", "largest error", "interval covers")
-    note = f"{earlier} of the {len(runs)} runs were made with an earlier version and are marked `earlier_code`.\n"
     return "\n".join(
         [
             f"Level α = {summary['alpha']}; {len(runs)} sessions.\n",
             table(("question", "count", "95 % interval"), rows),
             f"At typical strength {total[0]} of {total[1]} sessions end with exactly the planted effect named. "
-            f"Of the strengths found, {covered[0]} of {covered[1]} intervals of nominally 95 % contain the truth.\n",
-            note if earlier else "",
+            f"Of the strengths found, {covered[0]} of {covered[1]} intervals of nominally 95 % contain the truth."
+            f"{note}\n",
             "**Named exactly, by planted strength in units of the typical one; errors of the strength found at × 1**\n",
             table(heads, per_effect),
             "**Verdict when the planted effect is left out of the library**\n",
@@ -72,56 +71,29 @@ def described() -> str:
     rows = []
     for (kind, effect), runs in effects.items():
         stages = [sum(bool(run[key]) for run in runs) for key in ("right_stage", "right_quantity")]
-        told = [run["closed"] for run in runs if run["described"] and run["closed"] is not None]
-        shown = f"{sum(c >= 0.8 for c in told)} of {len(told)}" if told else ""
+        closed = [run["closed"] for run in runs if run["described"] and run["closed"] is not None]
+        shown = f"{sum(c >= 0.8 for c in closed)} of {len(closed)}" if closed else ""
         named = sum(bool(run["named"]) for run in runs)
         rows.append((kind, effect, len(runs), sum(bool(run["described"]) for run in runs), *stages, shown, named))
     heads_of_effects = (
         "", "planted", "sessions", "described", "right stage", "right quantity", "closed 0.8 or more, of those that "
         "show in counts", "an effect named or listed",
     )  # fmt: skip
-    said = [(run["effect"], run["seed"], *_said(run)) for run in content["runs"] if _is_telling(run)]
-    return "\n".join(
-        [
-            table(heads, kinds),
-            table(heads_of_effects, rows),
-            "What was said, of the first session of each, and of those that are not as they should be:\n",
-            table(("planted", "seed", "said", "closed", "95 %"), said),
-        ]
-    )
-
-
-def _is_telling(run: dict) -> bool:
-    """Whether a session with something left out is the first of its effect, or not as it should be."""
-    wrong = run["expected"] is not None and not (run["right_stage"] and run["right_quantity"])
-    open_ = run["closed"] is not None and run["closed"] < 0.8
-    return run["seed"] % 10 == 0 or wrong or open_ or bool(run["named"])
-
-
-def _said(run: dict) -> tuple[str, str, str]:
-    """(descriptions and effects of a session, its closed fraction, the interval of that)."""
-    listed = "listed: " + ", ".join(run["named"]) if run["named"] else ""
-    said = "; ".join([*run["words"], *([listed] if listed else [])]) or run["verdict"]
-    shown = run["described"] and run["closed"] is not None
-    closed = f"{run['closed']:.2f}" if shown else ""
-    ends = "{:.2f} to {:.2f}".format(*run["closed_interval"]) if shown and run["closed_interval"] else ""
-    return said, closed, ends
+    return "\n".join([table(heads, kinds), table(heads_of_effects, rows)])
 
 
 def sensitivity() -> str:
     """What `benchmarks/gap_sensitivity.py` found: a row per criterion, halved and doubled."""
     content = of_json("docs/gap_sensitivity.json")
     summary = content["summary"]
-    earlier = sum(bool(run.get("earlier_code")) for run in content["runs"])
     halves: dict[str, list[dict]] = defaultdict(list)
     for row in summary:
         halves[row["criterion"]].append(row)
-    rows, turned = [], []
+    rows = []
     for name, pair in halves.items():
         cells = [f"{r['some_decision_changes']} / {r['searched']} / {r['verdict_changes']}" for r in pair]
         shares = [percent(r["share"]) if "share" in r else "≤ " + percent(r["share_at_most"]) for r in pair]
         rows.append((f"`{name}`", f"{pair[0]['value']:g}", *cells, " and ".join(shares)))
-        turned += [(f"`{name}` = {r['changed_to']:g}", line.replace("->", "→")) for r in pair for line in r["which"]]
     heads = (
         "criterion", "value", "halved: decisions / searched / verdicts", "doubled: decisions / searched / verdicts",
         "verdicts changed",
@@ -129,58 +101,38 @@ def sensitivity() -> str:
     return "\n".join(
         [
             f"{summary[0]['sessions']} sessions. *Decisions*: sessions in which some decision on the way would be "
-            "another; *searched*: of these, searched again with the criterion changed; *verdicts*: of these, with "
-            "another verdict or name.\n",
-            f"{earlier} of the {len(content['runs'])} searches were made with an earlier version (`earlier_code`).\n",
+            "different; *searched*: of these, searched again with the criterion changed; *verdicts*: of these, with "
+            f"another verdict or name.{_of_earlier_versions(content['runs'])}\n",
             table(heads, rows),
-            "**Verdicts that changed**\n",
-            table(("criterion", "session and verdict"), turned) if turned else "None.\n",
         ]
     )
 
 
 def combinations() -> str:
-    """What `benchmarks/gap_combinations.py` found: outcomes by number of effects, and the sessions that miss some."""
+    """What `benchmarks/gap_combinations.py` found: outcomes by number of effects."""
     content = of_json("docs/gap_combinations.json")
     summary, runs = content["summary"], content["runs"]
     wanted = "all and only those planted"
     kinds = [wanted, *sorted({run["outcome"] for run in runs} - {wanted})]
     by_number = summary["by_number_of_effects"]
     counts = [(number, *(by_number[number].get(kind, "") for kind in kinds)) for number in by_number]
-    missed = [
-        (run["seed"], _planted(run["planted"]), run["verdict"], ", ".join(run["named"]), _shown(run))
-        for run in runs if run["outcome"] != wanted
-    ]  # fmt: skip
-    again = [str(run["seed"]) for run in runs if run.get("before")]
     return "\n".join(
         [
             _share(summary, wanted, "end with all and only the planted effects named") + "; "
             + _share(summary, "an effect that was not planted", "name or list one that was not planted") + ". "
             + "{} of {} strengths lie in their intervals.\n".format(*summary["intervals_hold"]),
             table(("effects planted", *kinds), counts),
-            "The sessions that miss something, strengths in units of the typical one:\n",
-            table(("seed", "planted", "verdict", "named or listed", "what was missed shows by"), missed),
-            f"Searched again since they were first looked at: {', '.join(again)}.\n" if again else "",
         ]
     )  # fmt: skip
 
 
-def _shown(run: dict) -> str:
-    shows = run.get("missed_shows_nats") or {}
-    return ", ".join(f"{name} {nats:.2g} nats" for name, nats in shows.items()) or "–"
-
-
-def _planted(effects: list) -> str:
-    return ", ".join(f"{name} × {factor:.2g}" if factor else f"{name} missing" for name, factor in effects)
-
-
-def _share(summary: dict, key: str, says: str) -> str:
+def _share(summary: dict, key: str, words: str) -> str:
     row = summary[key]
-    return f"{row['count']} of {row['of']} sessions {says} ({'–'.join(percent(x, 0) for x in row['interval_95'])})"
+    return f"{row['count']} of {row['of']} sessions {words} ({'–'.join(percent(x, 0) for x in row['interval_95'])})"
 
 
 def independent() -> str:
-    """What `benchmarks/gap_independent.py` found: by what is missing, and what was said of what has no name."""
+    """What `benchmarks/gap_independent.py` found: by what is missing."""
     content = of_json("docs/gap_independent.json")
     kinds = [
         (
@@ -193,27 +145,14 @@ def independent() -> str:
         )
         for kind, row in content["summary"].items()
     ]
-    said = [
-        (run["seed"], run["missing"], f"{run['strength']:.3g}", run["verdict"],
-         "; ".join([*run["named"], *(words for _, words, _ in run["described"])]))
-        for run in content["runs"] if run["described"] or run["wrong"]
-    ]  # fmt: skip
     heads = ("missing", "right", "error, median / largest", "intervals hold", "closed 0.8", "CPU s, median / largest")
-    earlier = sum(bool(run.get("earlier_code")) for run in content["runs"])
-    return "\n".join(
-        [
-            table(heads, kinds),
-            f"{earlier} of the {len(content['runs'])} searches are of an earlier version (`earlier_code`).\n",
-            "What was said where something has no name, or came out wrong; strengths are those of the benchmark:\n",
-            table(("seed", "missing", "strength", "verdict", "named, listed or described"), said),
-        ]
-    )
+    return table(heads, kinds) + "\n" + _of_earlier_versions(content["runs"]).strip() + "\n"
 
 
-def single_sessions() -> str:
-    """Single simulated sessions, recorded by hand as their verdicts were read."""
-    recorded = of_json("docs/results/gap_sessions.json")
-    return recorded["note"] + "\n\n" + table(("planted", "verdict and strengths"), recorded["sessions"])
+def _of_earlier_versions(runs: list[dict]) -> str:
+    """A sentence about runs whose numbers are of an earlier version, or nothing."""
+    earlier = sum(bool(run.get("earlier_code")) for run in runs)
+    return f" {earlier} of the {len(runs)} runs used an earlier version (`earlier_code`)." if earlier else ""
 
 
 def coverage() -> str:
@@ -439,21 +378,23 @@ def _strength(row: dict) -> str:
     limit = row["evidence"]["detection_limit"]
     if limit:
         return f"would have shown at {limit['parameter']} = {limit['value']:.3g}"
-    said = []
+    strengths = []
     for name, each in row["parameters"].items():
         ends = each["interval_95"]
         limits = f" ({' to '.join('–' if x is None else f'{x:.4g}' for x in ends)})" if ends else ""
-        said.append(f"{name} = {each['value']:.4g}{limits}")
-    return "; ".join(said)
+        strengths.append(f"{name} = {each['value']:.4g}{limits}")
+    return "; ".join(strengths)
 
 
 def faults() -> str:
     """What `tests/faults.py` saw: commands against faults, kills and interrupts."""
     content = of_json("docs/results/faults.json")
-    kinds = list(dict.fromkeys(kind for found in content["faults"].values() for kind in found))
+    kinds = list(dict.fromkeys(kind for survived in content["faults"].values() for kind in survived))
     rows = []
-    for name, found in content["faults"].items():
-        cells = [f"{e['survived']} of {e['runs']}" if (e := found.get(kind)) and e["runs"] else "–" for kind in kinds]
+    for name, survived in content["faults"].items():
+        cells = [
+            f"{e['survived']} of {e['runs']}" if (e := survived.get(kind)) and e["runs"] else "–" for kind in kinds
+        ]
         rows.append((f"`{name}`", *cells))
     text = table(("command", *(kind if " " in kind else f"{kind} fails" for kind in kinds)), rows)
     kills = [(f"`{name}`", e["kills"], e["equal"]) for name, e in content["kills"].items()]
@@ -474,5 +415,5 @@ def speed() -> str:
 def fuzzing() -> str:
     """What `tests/fuzz.py` found, run after run."""
     heads = ("seed", "damaged files", "kinds of file", "answered wrongly", "kinds of wrong answer")
-    found = of_json("docs/results/fuzz.json")
-    return table(heads, ((e["seed"], e["runs"], e["targets"], e["failures"], e["kinds"]) for e in found))
+    runs = of_json("docs/results/fuzz.json")
+    return table(heads, ((e["seed"], e["runs"], e["targets"], e["failures"], e["kinds"]) for e in runs))

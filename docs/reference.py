@@ -15,7 +15,7 @@ from sphinx.ext.napoleon import GoogleDocstring
 
 NAMES = (
     "check", "calibrate", "open", "find_model", "simulate", "fit", "sample", "gap", "lowlight", "design",
-    "reconstruct", "load_field", "stimulus",
+    "reconstruct", "load_field", "stimulus", "biases", "view",
     "Model", "Recording", "Stimulus", "Status",
 )  # fmt: skip
 RESULTS = (
@@ -28,6 +28,7 @@ RESULTS = (
     "pixelid.lowlight.result.LowlightReport",
     "pixelid.design.result.DesignReport",
     "pixelid.design.waveform.Waveform",
+    "pixelid.tables.biases.result.BiasLaws",
     "pixelid.compare.compare.Comparison",
     "pixelid.sensors.sensor.SensorFit",
     "pixelid.nerf.reconstruct.Reconstruction",
@@ -52,7 +53,7 @@ def _entry(path: str, thing: object) -> str:
     """A function or a class, with the public methods and properties of the latter."""
     if not inspect.isclass(thing):
         return _block("function", path, _signature(thing), inspect.getdoc(thing))
-    enumeration = hasattr(thing, "__members__")  # its constructor takes a value, which says nothing to a reader
+    enumeration = hasattr(thing, "__members__")  # its constructor takes a value, which is of no use to a reader
     lines = [_block("class", path, "" if enumeration else _signature(thing), inspect.getdoc(thing))]
     for name, member in vars(thing).items():
         member = member.__func__ if isinstance(member, (classmethod, staticmethod)) else member
@@ -68,7 +69,7 @@ def _entry(path: str, thing: object) -> str:
 
 
 def _signature(thing, bound: bool = False) -> str:
-    """The signature without annotations: their types are said in the docstring."""
+    """The signature without annotations: their types are in the docstring."""
     try:
         signature = inspect.signature(thing)
     except (TypeError, ValueError):

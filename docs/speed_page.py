@@ -23,7 +23,9 @@ def page(content: Mapping[str, Any], table: Table) -> str:
     machine, versions = content["machine"], content["versions"]
     named = ", ".join(f"{name} {versions[name]}" for name in ("pixelid", "python", "numpy", "numba", "torch")
                       if name in versions)  # fmt: skip
-    missed = [f"{row['path']} ({_said(row)})" for row in content["rows"] if row["target"] and not row["target"]["met"]]
+    missed = [
+        f"{row['path']} ({_target(row)})" for row in content["rows"] if row["target"] and not row["target"]["met"]
+    ]
     lines = [
         f"{machine['processor']}, {machine['cores']} cores; {named}. One core copies "
         f"{machine['copy_bytes_per_s'] / 1e9:.1f} GB/s (read and written together), makes "
@@ -39,18 +41,18 @@ def page(content: Mapping[str, Any], table: Table) -> str:
 
 
 def _paths(rows: list[Mapping[str, Any]], table: Table) -> str:
-    heads = ("path", "size", "ours", "beside", "ratio", "target", "what bounds it", "load")
+    heads = ("path", "size", "ours", "compared with", "ratio", "target", "what bounds it", "load")
     cells = []
     for row in rows:
         ours = statistics.median(row["ours_s"])
         clock = "" if row["clock"] == "cpu" else f", wall time, {row['threads']} threads"
         rate = "" if row["items"] == 1 else f" ({_rate(row['items'] / ours, row['item'])})"
         other, ratio = row["other"], row["ratio"]
-        beside = " ".join(filter(None, (other["name"], other["version"]))) if other else ""
-        beside += f": {seconds(statistics.median(other['seconds']))}" if other else ""
+        compared = " ".join(filter(None, (other["name"], other["version"]))) if other else ""
+        compared += f": {seconds(statistics.median(other['seconds']))}" if other else ""
         cells.append((
-            row["path"], row["size"], f"{seconds(ours)}{rate}{clock}", beside,
-            "{:.3g} ({:.3g} to {:.3g})".format(*ratio.values()) if ratio else "", _said(row), _bound(row),
+            row["path"], row["size"], f"{seconds(ours)}{rate}{clock}", compared,
+            "{:.3g} ({:.3g} to {:.3g})".format(*ratio.values()) if ratio else "", _target(row), _bound(row),
             f"{max(row['load']):.1f}",
         ))  # fmt: skip
     notes = [f"- {row['path']}: {row['note']}." for row in rows if row["note"]]
@@ -85,7 +87,7 @@ def _rate(value: float, item: str) -> str:
     return f"{value:.3g} {item}s/s"
 
 
-def _said(row: Mapping[str, Any]) -> str:
+def _target(row: Mapping[str, Any]) -> str:
     """Target and what was measured."""
     target = row["target"]
     if not target:

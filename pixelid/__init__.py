@@ -22,6 +22,8 @@ __all__ = [
     "Recording",
     "Status",
     "Stimulus",
+    "align",
+    "biases",
     "calibrate",
     "check",
     "convert",
@@ -38,24 +40,27 @@ __all__ = [
     "sample",
     "simulate",
     "stimulus",
+    "view",
 ]
 
 if TYPE_CHECKING:
     from pixelid.api import calibrate, check, find_model, fit, gap, sample, simulate
-    from pixelid.api_analyses import design, load_field, lowlight, reconstruct, stimulus
-    from pixelid.api_recordings import convert, crop, inspect, open
+    from pixelid.api_analyses import biases, design, load_field, lowlight, reconstruct, stimulus, view
+    from pixelid.api_recordings import align, convert, crop, inspect, open
     from pixelid.model.model import Model
     from pixelid.recordings.recording import Recording
     from pixelid.status import Status
     from pixelid.stimuli.stimulus import Stimulus
 
 _ELSEWHERE = {
-    **dict.fromkeys(("convert", "crop", "inspect", "open"), "pixelid.api_recordings"),
+    **dict.fromkeys(("align", "convert", "crop", "inspect", "open"), "pixelid.api_recordings"),
+    "biases": "pixelid.api_analyses",
     "design": "pixelid.api_analyses",
     "load_field": "pixelid.api_analyses",
     "lowlight": "pixelid.api_analyses",
     "reconstruct": "pixelid.api_analyses",
     "stimulus": "pixelid.api_analyses",
+    "view": "pixelid.api_analyses",
     "Model": "pixelid.model.model",
     "Recording": "pixelid.recordings.recording",
     "Status": "pixelid.status",

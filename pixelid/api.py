@@ -108,7 +108,7 @@ def fit(
     engine: str = "casadi",
     form: str = "discrete",
     pixel_levels: PixelLevelsLike = None,
-    bias_priors: bool = False,
+    bias_priors: bool | str = False,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> FitResult:
@@ -119,13 +119,14 @@ def fit(
         model: what is fitted, from its own values.
         gauge: statements that make physical values unique, as {"q_in": 0.875, "A_loop": "0.7 A_amp"}.
         fixed: parameters to hold, at these values.
-        starts: random starts beside the model's own values.
+        starts: random starts in addition to the model's own values.
         between: how the stimulus runs between its samples: "linear", "smooth", or "auto": as explains the events best.
         engine: "casadi", "torch" or "scipy"; all find the same maximum.
         form: "discrete", linearised once per stimulus step, or "continuous" in time, which takes longer.
         pixel_levels: "gain", "background" or "both": each pixel sees gain · light + background, both unknown; with the
             spread over pixels where it is known, {"gain": 0.2, "background": None}.
-        bias_priors: priors of thresholds, dead time and the follower's cutoff from the bias settings of jAER's headers.
+        bias_priors: priors of thresholds, dead time and the follower's cutoff from the bias settings of jAER's headers;
+            a folder of `pixelid biases`: from its laws at the codes of the recordings' .bias files.
         seed: of the starts.
         progress: called with what is done and the fraction; by default a bar where a terminal or notebook shows it.
 
@@ -225,7 +226,8 @@ def gap(
         seed: of the split of pixels, and of simulations.
         leave_out: effects that the library is to lack.
         recommend: also work out what to record next.
-        pixel_levels: as of `fit`; the search takes them as they are told with the base, and again with what it names.
+        pixel_levels: as of `fit`; the search takes them as they are estimated with the base, and again with what it
+            names.
         resume: a file that keeps the fits made so far, for a search that is interrupted and called again.
         progress: called with what is done and the fraction; by default a bar where a terminal or notebook shows it.
 

@@ -1,4 +1,4 @@
-"""What `import pixelid` shows beside fits and searches: low light, the next stimulus, and reconstructions."""
+"""What `import pixelid` shows with fits and searches: low light, the next stimulus, and reconstructions."""
 # pyright: reportUnnecessaryIsInstance=false
 # what users give is checked, whatever the annotations promise
 
@@ -24,6 +24,53 @@ if TYPE_CHECKING:
     from pixelid.nerf.field import Field
     from pixelid.nerf.reconstruct import Reconstruction
     from pixelid.recordings.recording import Recording
+    from pixelid.tables.biases.result import BiasLaws
+
+
+@public
+def biases(
+    tables: str | Path | Sequence[str | Path],
+    *,
+    laws: str | Path | None = None,
+    at: str | Sequence[str] = (),
+    quantity: str | Sequence[str] = (),
+    bias: str | Sequence[str] = (),
+    unit: str | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> BiasLaws:
+    """Fit laws of bias codes to tables of dead times, thresholds, cutoffs or latencies, or evaluate saved laws on them.
+
+    Args:
+        tables: CSV files with columns bias_… and a quantity, and .npz files of threshold maps.
+        laws: folder of an earlier result, evaluated instead of a fit.
+        at: settings to predict, "bias_refr=10" each.
+        quantity: columns that were measured; by default the one that is named as a quantity.
+        bias: columns of codes; by default those named bias_….
+        unit: of the quantity (s, ms, us, ns, hz, khz, mhz, log); by default as its column's name ends.
+        seed: of the draws behind intervals.
+        progress: called with what is done and the fraction.
+
+    Returns:
+        A law per quantity with its rivals, parameters, rows and predictions.
+
+    Raises:
+        InputError: tables that are ambiguous or too small, or codes that no law is of.
+
+    Example:
+        >>> import pixelid as px
+        >>> px.biases("dead_time_vs_refr.csv", at="bias_refr=10").content["predictions"]  # doctest: +SKIP
+    """
+    from pixelid.tables.biases.reading import Stated
+    from pixelid.tables.biases.result import bias_laws
+
+    def each(given: str | Path | Sequence[str | Path]) -> tuple[str, ...]:
+        return (str(given),) if isinstance(given, str | Path) else tuple(map(str, given))
+
+    return bias_laws(
+        [Path(path) for path in each(tables)], laws=None if laws is None else Path(laws), at=each(at),
+        stated=Stated(each(quantity), each(bias), unit), seed=seed, progress=progress,
+    )  # fmt: skip
 
 
 @public
@@ -40,7 +87,7 @@ def lowlight(
 
     Args:
         model: the circuit; a fit folder brings its uncertainty, drawn as bands.
-        recordings: of chirps or steps, whose bandwidth or step time is put beside the model's; none by default.
+        recordings: of chirps or steps, whose bandwidth or step time is compared with the model's; none by default.
         latency: tables of the sensor's latencies, a recipe, or the folder of a finished fit; none by default.
         camera: which of the tables' cameras the model is.
         seed: of draws and simulations.
@@ -216,7 +263,7 @@ def reconstruct(
         refine_time: train an offset between the clocks of poses and events, known to so many seconds.
         refine_poses: train smooth corrections of the poses, known to so much of the scene's unit and so many degrees.
         gap: look in the events for effects that the pixel lacks, and train with those found.
-        beside: folder of another reconstruction of the dataset, shown beside this one.
+        beside: folder of another reconstruction of the dataset, shown next to this one.
         cells: of the field per side, 8 to 512; by default one per pixel, 32 to 512.
         harmonics: degree of the harmonics by which colours depend on the direction, 0 to 2.
         iterations: training steps, 1200 by default; "auto" for steps and batch by the number of events.
@@ -228,7 +275,7 @@ def reconstruct(
         near: distance from the camera before which nothing is, in the unit of the poses.
         unbounded: the scene goes on beyond the box; all of space is part of the field, the coarser the further.
         radiance_scale: the fit's radiance units per unit of the views.
-        protocol: of the scores: "strict", or "paper" for those of the reference implementation beside them.
+        protocol: of the scores: "strict", or "paper" for those of the reference implementation with them.
         resume: a checkpoint, continued when it exists and written as training goes on.
         preview: a PNG of the scene, replaced as training goes on; another picture of that name is refused.
         device: "cpu", "cuda" or "auto".
@@ -268,6 +315,39 @@ def reconstruct(
             preview=None if preview is None else Path(preview), device=device, seed=seed,
             progress=progress or (lambda what, share: None),
         )  # fmt: skip
+
+
+@public
+def view(model: ModelLike, out: str | Path, *, open: bool = False, overwrite: bool = False) -> Path:
+    """Write a page with a pixel to play with: drag light, thresholds or bandwidth, and its events move.
+
+    Args:
+        model: the circuit that the page begins with; it has the shipped ones as well.
+        out: the page to write; it needs no server.
+        open: show it in the browser.
+        overwrite: replace a page that is there.
+
+    Returns:
+        The path of the page.
+
+    Raises:
+        InputError: an unknown model, a folder that holds a scene and no pixel, a page that is there already.
+
+    Example:
+        >>> import pixelid as px
+        >>> px.view("dvs128", "pixel.html", open=True)  # doctest: +SKIP
+    """
+    from pixelid.inputs import as_model
+    from pixelid.report.pixel_view import refuse_scene, write_view
+
+    if isinstance(model, str | Path):
+        refuse_scene(model)
+    write_view(as_model(model), Path(out), overwrite=overwrite)
+    if open:
+        import webbrowser
+
+        webbrowser.open(Path(out).resolve().as_uri())
+    return Path(out)
 
 
 def load_field(folder: str | Path) -> Field:

@@ -135,7 +135,7 @@ def convert(
     overwrite: bool = False,
     **options: Any,
 ) -> Recording:
-    """Put a recording beside its light, on one clock, and write it.
+    """Put a recording with its light, on one clock, and write it.
 
     Args:
         source: a file of any readable format.
@@ -170,6 +170,42 @@ def convert(
         if target is not None:
             write_recording(whole, target, overwrite=overwrite)
     return whole
+
+
+def align(
+    recording: Recording | str | Path,
+    stimulus: StimulusLike,
+    how: str | float = "auto",
+    **options: Any,
+) -> Recording:
+    """Bring a light that has its own clock onto the camera's, as `pixelid convert --align` does.
+
+    Args:
+        recording: opened, or a file.
+        stimulus: the light, its file or name.
+        how: "trigger", "first-event", "auto", or the seconds on the camera's clock at which the light starts.
+        options: of `open`.
+
+    Returns:
+        The recording under its light, without the events outside it; `attributes["alignment"]` says where the light
+        starts, how far the clocks differ, and how well that is known.
+
+    Raises:
+        InputError: as `open`; light that repeats itself or that the events do not follow.
+
+    Example:
+        >>> import pixelid as px
+        >>> pixel = px.simulate("dvs128", "chirp", pixels=4)
+        >>> px.align(pixel, pixel.stimulus, 0.0).attributes["alignment"]["method"]
+        'given'
+    """
+    from pixelid.inputs import as_stimulus
+    from pixelid.recordings.alignment import aligned, find_alignment
+
+    opened, light = _one(recording, options), as_stimulus(stimulus)
+    together = aligned(opened, light, find_alignment(opened, light, str(how)))
+    together.check_stimulus_covers_events()
+    return together
 
 
 def _one(recording: Recording | str | Path, options: dict[str, Any]) -> Recording:

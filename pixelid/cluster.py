@@ -71,9 +71,9 @@ class Where:
         if self.cluster and self.workers:
             raise InputError("--cluster and --workers exclude each other")
         if given and not self.cluster.startswith("tls://"):
-            raise InputError(f"{given[0]}: expected --cluster tls://HOST:PORT beside it, found {shown(self.cluster)}")
+            raise InputError(f"{given[0]}: needs --cluster tls://HOST:PORT, found {shown(self.cluster)}")
         if given and missing:
-            raise InputError(f"{given[0]}: expected {', '.join(missing)} beside it")
+            raise InputError(f"{given[0]}: needs {', '.join(missing)}")
         for name, file in files.items():
             if file is not None and not file.is_file():
                 raise InputError(f"{name}: {file}: expected a PEM file, found no such file")

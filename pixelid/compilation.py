@@ -1,9 +1,9 @@
 """Compile what the first commands need, so that nobody waits for it later: `python -m pixelid.compilation`.
 
-`simulate` and `fit` are run on little in one process, `reconstruct` beside them in another.
+`simulate` and `fit` are run on little in one process, `reconstruct` next to them in another.
 
-Numba keeps compiled code beside the package, or in the user's cache where the package cannot be written
-(`NUMBA_CACHE_DIR` says another place).  `make setup` runs this; whoever installs a wheel waits once, in the first
+Numba keeps compiled code next to the package, or in the user's cache where the package cannot be written
+(`NUMBA_CACHE_DIR` says another place).  `make setup` runs this; users of a wheel wait once, in the first
 command.
 """
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 import re
 from collections.abc import Sequence
@@ -12,16 +13,24 @@ SPACES = r"\s+"
 NUMBER = re.compile(r"[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?|nan|true|false", re.I)
 DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?|[-+]?\d+,\d*[eE][-+]?\d+")
 COMMENTS = ("#", "%", "//")
+CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f\x7f\x81\x8d\x8f\x90\x9d]")  # in no text of one byte a letter
+HEAD_BYTES = 1 << 16  # in which a text's coding shows, and a table's header lies
 BYTE_ORDER_MARKS = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
 
 
 def encoding_of(first: bytes) -> str:
-    """The coding of a text by its first bytes: UTF-16 where it is marked, else UTF-8.
+    """The coding of a text by its first bytes: UTF-16 where it is marked, else UTF-8, else Windows' of the West.
 
-    >>> encoding_of(b"\\xff\\xfet\\x00"), encoding_of(b"t,x")
-    ('utf-16', 'utf-8-sig')
+    >>> encoding_of(b"\\xff\\xfet\\x00"), encoding_of(b"t,x"), encoding_of(b"t [\\xb5s]")
+    ('utf-16', 'utf-8-sig', 'cp1252')
     """
-    return BYTE_ORDER_MARKS.get(first[:2], "utf-8-sig")
+    if first[:2] in BYTE_ORDER_MARKS:
+        return BYTE_ORDER_MARKS[first[:2]]
+    try:
+        codecs.getincrementaldecoder("utf-8")().decode(first)  # a letter may be cut at the end
+    except UnicodeDecodeError:
+        return "utf-8-sig" if CONTROL.search(first) else "cp1252"
+    return "utf-8-sig"
 
 
 def cells_of(line: str) -> tuple[list[str], str]:
@@ -56,12 +65,12 @@ def is_number(cell: str) -> bool:
 
 
 def with_points(rows: Sequence[Sequence[str]], mark: str, where: str) -> list[list[str]]:
-    """Cells with decimal points where the file has decimal commas.
+    """Cells with decimal points where the file has decimal commas, which lie in quotes where commas are the mark.
 
     Raises:
         InputError: some numbers have commas and others points.
     """
-    commas = mark != "," and any(DECIMAL_COMMA.fullmatch(cell) for row in rows for cell in row)
+    commas = any(DECIMAL_COMMA.fullmatch(cell) for row in rows for cell in row)
     if not commas:
         return [list(row) for row in rows]
     for row in rows:

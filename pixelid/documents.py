@@ -19,7 +19,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeGuard, cast
 
-from pixelid.delimited import encoding_of
+from pixelid.delimited import BYTE_ORDER_MARKS, encoding_of
 from pixelid.errors import InputError, first_line, printable, shown
 
 MOST_BYTES = {"TOML": 2 << 20, "JSON": 64 << 20, "CSV": 64 << 20}  # each is read within 5 s
@@ -88,7 +88,7 @@ def read_text(path: str | Path, kind: str) -> str:
     if len(content) > most:
         raise InputError(f"{path}: expected {kind} of at most {most >> 20} MiB, found {status.st_size} bytes")
     try:
-        return content.decode(encoding_of(content))
+        return content.decode(encoding_of(content) if kind == "CSV" else BYTE_ORDER_MARKS.get(content[:2], "utf-8-sig"))
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: expected UTF-8 text, found other bytes at byte {error.start}") from None
 

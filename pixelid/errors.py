@@ -38,7 +38,7 @@ def on_command_line() -> Iterator[None]:
 
 
 def spelled(text: str) -> str:
-    """A message whose parameters are named as whoever reads it writes them.
+    """A message whose parameters are named as its reader writes them.
 
     >>> spelled("--pixel-levels: expected a name; `pixelid convert --align` says more; add --with leak")
     'pixel_levels: expected a name; `pixelid convert --align` says more; add with_effect leak'

@@ -1,8 +1,8 @@
 """Results reach disk whole or not at all, and never in place of something else.
 
-A result is written beside its target under a hidden name, flushed to disk, and swapped in by one rename.  Only a folder
-that holds a result of pixelid is ever replaced, and never one that holds an input of the run.  `claimed` keeps a second
-run off the same target.
+A result is written next to its target under a hidden name, flushed to disk, and swapped in by one rename.  Only a
+folder that holds a result of pixelid is ever replaced, and never one that holds an input of the run.  `claimed` keeps
+a second run off the same target.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from pixelid.errors import InputError, OutputError, SetAside
 RESULT_FILES = (
     "calibration.json", "fit.json", "gap.json", "posterior.json", "lowlight.json", "design.json", "rates.json",
     "flicker.json", "latency.json", "noise.json", "sensor.json", "compare.json", "inspect.json", "static_noise.json",
-    "reconstruction.json", "conform.json", "render.json", "dataset.json",
+    "reconstruction.json", "conform.json", "render.json", "dataset.json", "biases.json",
 )  # fmt: skip
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # linux/fcntl.h, linux/fs.h
 MOST_CHARACTERS = 60  # of a file's name made from a label: of four bytes each, with an ending, they are less than 255
@@ -114,7 +114,7 @@ def claimed(path: Path, overwrite: bool = False, inputs: Iterable[str | Path] = 
 
 @contextmanager
 def _locked(path: Path) -> Iterator[None]:
-    """Hold the lock file `.NAME.lock` beside `path`; the system releases it when the process dies."""
+    """Hold the lock file `.NAME.lock` next to `path`; the system releases it when the process dies."""
     try:
         import fcntl
     except ImportError:  # not on this system: two runs at once are not noticed
@@ -183,7 +183,7 @@ def whole_file(path: Path, overwrite: bool = False) -> Iterator[Path]:
 def whole_folder(
     path: Path, overwrite: bool = False, *, markers: Sequence[str] | None = RESULT_FILES
 ) -> Iterator[Path]:
-    """Yield a temporary folder beside `path`; on success it takes the place of `path`.
+    """Yield a temporary folder next to `path`; on success it takes the place of `path`.
 
     Args:
         path: of the result.
@@ -287,7 +287,7 @@ def set_aside(path: Path, why: str, suffix: str) -> Path:
 
 @contextmanager
 def _beside(path: Path) -> Iterator[Path]:
-    """A hidden folder beside `path`, removed at the end; those of dead processes are removed as well.
+    """A hidden folder next to `path`, removed at the end; those of dead processes are removed as well.
 
     Raises:
         OutputError: for an OSError that concerns what is written, whichever step of writing it stopped.

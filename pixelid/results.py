@@ -115,7 +115,7 @@ class Result(ABC):
 
     @abstractmethod
     def write_companions(self, folder: Path) -> None:
-        """Write what belongs beside the JSON into an existing folder."""
+        """Write what belongs next to the JSON into an existing folder."""
 
     def summary(self, width: int | None = None) -> str:
         """Everything found, as the command line prints it; wrapped at words where a width is given."""
@@ -131,7 +131,7 @@ class Result(ABC):
         return frame.set_index(columns[0]) if columns else frame
 
     def write(self, folder: str | Path) -> None:
-        """Write the JSON and what belongs to it into an existing folder, beside what is there."""
+        """Write the JSON and what belongs to it into an existing folder, next to what is there."""
         folder = Path(folder)
         write_json(folder / self.FILE, self.as_dict())
         self.write_companions(folder)
@@ -139,7 +139,7 @@ class Result(ABC):
     def save(self, folder: str | Path, *, overwrite: bool = False) -> None:
         """Write the result's folder, whole or not at all; nothing is replaced unless `overwrite` is given.
 
-        A folder that holds none of the files is written into, beside what is there.
+        A folder that holds none of the files is written into, next to what is there.
 
         Args:
             folder: of the result.
@@ -292,7 +292,7 @@ def latency_fit_of(folder: Path) -> tuple[Path, str | None] | None:
 def read_unidentified(folder: Path) -> list[str]:
     """What the fit in a folder, of events or of a table, says that it left open; nothing where there is no fit.
 
-    Of the folder of one camera, what the fit of several beside it says of that camera.
+    Of the folder of one camera, what the fit of several next to it says of that camera.
 
     Raises:
         InputError: a damaged result.

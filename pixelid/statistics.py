@@ -23,7 +23,7 @@ def departures(X: np.ndarray, y: np.ndarray, covariance: np.ndarray, least: floa
     """τ, by which values scatter about a linear model beyond their errors, by moments; 0 where nothing is to spare.
 
     DerSimonian & Laird 1986, Controlled Clinical Trials 7, 177.  X: (n, p);  y: (n,);  covariance: (n, n) of errors;
-    least: χ² of the model where a likelihood tells more of it than normal errors do
+    least: χ² of the model where a likelihood shows more of it than normal errors do
     """
     W = np.linalg.inv(covariance)
     inverse = np.linalg.inv(X.T @ W @ X)

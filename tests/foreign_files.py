@@ -32,7 +32,12 @@ class Spec:
         named, unit_named, size_stated: whether names of columns, the unit and the size are in the file.
         unit: of the times.
         floats: "none", "t" or "all": which columns are written as floating numbers.
-        polarity: "01", "pm1", "bool", "three" (−1, 0 and 1).
+        polarity: "01", "pm1", "bool", "three" (−1, 0 and 1), "words" (ON and OFF, of text).
+        unit_comment: whether a comment or an attribute states the unit.
+        size_as: "sides" (width and height) or "pair" (a resolution), where it is stated.
+        from_one: whether addresses count from one.
+        across: whether rows of an array are its columns.
+        brackets, coding: of text.
         mark, decimal, comment, quoted, index, header_size: dialect of text.
         clock: "rises", "ties", "swap" (a pair exchanged), "back" (set back once), "frames" (sorted within frames).
         empty_stream, second_stream: of HDF5 and npz.
@@ -61,6 +66,12 @@ class Spec:
     events: int = 200
     seconds: float = 0.05
     seed: int = 0
+    unit_comment: bool = False
+    size_as: str = "sides"
+    from_one: bool = False
+    across: bool = False
+    brackets: bool = False
+    coding: str = "utf-8"
 
 
 def columns(spec: Spec) -> dict[str, np.ndarray]:
@@ -80,7 +91,7 @@ def columns(spec: Spec) -> dict[str, np.ndarray]:
     if spec.clock == "frames":
         t = t[np.concatenate([rng.permutation(part) for part in np.array_split(np.arange(n), 8)])]
     x, y = rng.integers(0, spec.width, n), rng.integers(0, spec.height, n)
-    x[0], y[0] = spec.width - 1, spec.height - 1
+    x[0], y[0], x[2], y[3] = spec.width - 1, spec.height - 1, 0, 0
     return {"t": t, "x": x, "y": y, "p": rng.integers(0, 2, n)}
 
 
@@ -95,9 +106,11 @@ def _as_written(spec: Spec) -> dict[str, np.ndarray]:
         p = p.astype(bool)
     elif spec.polarity == "three":
         p = np.where(np.arange(len(p)) % 7 == 3, 0, 2 * p - 1)
-    out = {"t": t, "x": made["x"], "y": made["y"], "p": p}
+    elif spec.polarity == "words":
+        p = np.where(p == 1, "ON", "OFF")
+    out = {"t": t, "x": made["x"] + spec.from_one, "y": made["y"] + spec.from_one, "p": p}
     if spec.floats == "all":
-        out = {name: column.astype(np.float64) for name, column in out.items()}
+        out = {name: column if column.dtype.kind == "U" else column.astype(np.float64) for name, column in out.items()}
     return out
 
 
@@ -117,20 +130,25 @@ def write(spec: Spec, folder: Path) -> Path:
     names = {"t": name, "x": "x", "y": "y", "p": "p"}
     if kind == "text":
         path = folder / "a.csv"
-        path.write_text(_text(spec, data, names))
+        path.write_text(_text(spec, data, names), encoding=spec.coding)
     elif kind.startswith("npz"):
         path = folder / "a.npz"
         extra = {"width": spec.width, "height": spec.height} if spec.size_stated else {}
+        if spec.size_stated and spec.size_as == "pair":
+            extra = {"sensor_size": np.array([spec.width, spec.height])}
+        if spec.unit_comment:
+            extra["time_unit"] = np.array(spec.unit)
         if kind == "npz":
             arrays = {names[k]: v for k, v in data.items()}
         elif kind == "npz_records":
             arrays = {"events": np.rec.fromarrays([data[k] for k in spec.order], names=[names[k] for k in spec.order])}
         else:
-            arrays = {"events": np.stack([data[k].astype(np.float64) for k in spec.order], axis=1)}
+            rows = [data[k].astype(np.float64) for k in spec.order]
+            arrays = {"events": np.stack(rows, axis=0 if spec.across else 1)}
         np.savez(path, **arrays, **extra)
     elif kind == "mat":
         path = folder / "a.mat"
-        table = {names[k]: (v + 1 if k in "xy" else v)[:, None] for k, v in data.items()}
+        table = {names[k]: (v + (not spec.from_one) if k in "xy" else v)[:, None] for k, v in data.items()}
         savemat(path, {"events": table})
     else:
         path = folder / "a.h5"
@@ -146,12 +164,17 @@ def _hdf5(spec: Spec, file, data: dict, names: dict) -> None:
             file[f"{place}{names[letter]}"] = column
     elif spec.format == "h5_rows":
         file["events"] = np.stack(
-            [data[k].astype(np.float64 if spec.floats != "none" else np.int64) for k in spec.order], 1
+            [data[k].astype(np.float64 if spec.floats != "none" else np.int64) for k in spec.order],
+            0 if spec.across else 1,
         )
     else:
         file["events"] = np.rec.fromarrays([data[k] for k in spec.order], names=[names[k] for k in spec.order])
-    if spec.size_stated:
+    if spec.size_stated and spec.size_as == "sides":
         file.attrs["width"], file.attrs["height"] = spec.width, spec.height
+    elif spec.size_stated:
+        file.attrs["resolution"] = [spec.width, spec.height]
+    if spec.unit_comment:
+        file.attrs["time_unit"] = spec.unit
     for stated, stream, some in ((spec.empty_stream, "aside", 0), (spec.second_stream, "right", 50)):
         if stated:
             for letter, column in data.items():
@@ -165,6 +188,8 @@ def _text(spec: Spec, data: dict, names: dict) -> str:
         return text.replace(".", spec.decimal)
 
     lines = [spec.comment] if spec.comment else []
+    if spec.unit_comment:
+        lines.append(f"# timestamps in {spec.unit}")
     if spec.size_stated:
         lines.append(f"%geometry:{spec.width},{spec.height}")
     quote = '"' if spec.quoted else ""
@@ -173,7 +198,8 @@ def _text(spec: Spec, data: dict, names: dict) -> str:
         lines.append(spec.mark.join(["", *heads] if spec.index else heads))
     rows = zip(*(data[k].tolist() for k in spec.order), strict=True)
     for k, row in enumerate(rows):
-        lines.append(spec.mark.join([*([str(k)] if spec.index else []), *map(cell, row)]))
+        line = spec.mark.join([*([str(k)] if spec.index else []), *map(cell, row)])
+        lines.append(f"[{line}]" if spec.brackets else line)
     return "\n".join(lines) + "\n"
 
 
@@ -203,6 +229,6 @@ def judged(spec: Spec, path: Path, options=None) -> str:
 
 def _said(spec: Spec, line: str) -> bool:
     """Whether a line names the convention by which the file was read otherwise, and which an option overrides."""
-    unit = spec.unit != "us" and not spec.unit_named and "t taken as" in line
+    unit = spec.unit != "us" and not spec.unit_named and not spec.unit_comment and "t taken as" in line
     order = spec.order == "yxtp" and not spec.named and "columns taken as" in line
-    return unit or order
+    return unit or order or (spec.from_one and "count from one" in line) or ("size" in line and " says" in line)

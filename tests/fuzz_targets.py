@@ -9,6 +9,7 @@ import contextlib
 import json
 import math
 import shutil
+import struct
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -38,6 +39,7 @@ def targets(folder: Path) -> dict[str, Target]:
         *_documents(folder),
         *_results(folder),
         *_recordings(folder),
+        *_foreign(folder),
         *_cameras(folder),
         *_kept(folder),
         *_scenes(folder),
@@ -157,6 +159,59 @@ def _recordings(folder: Path) -> Iterator[Target]:
     dat = b"% Height 480\n% Width 640\n% Version 2\n% end\n" + bytes([12, 8])
     rows = np.stack([np.arange(40) * 100, (chance.integers(0, 640, 40)) | (chance.integers(0, 480, 40) << 14)], axis=1)
     yield Target("recording .dat", ".dat", (dat + rows.astype("<u4").tobytes(),), open_recording)
+
+
+def _foreign(folder: Path) -> Iterator[Target]:
+    """Files of other programs: dialects of text, what they state beside the events, COLMAP's cameras, biases."""
+    from pixelid.nerf.shown.ways import way_of_file
+    from pixelid.recordings import open_recording
+    from pixelid.recordings.bias_files import biases_beside
+    from pixelid.stimuli.files import load_stimulus
+
+    texts = [
+        "%geometry:64,48\n5,3,0,1190\n9,4,1,2322\n63,47,1,3465\n",
+        "# timestamps in ns\nt,x,y,p\n1190,5,3,ON\n2322,9,4,OFF\n",
+        "Zeit [\xb5s];x;y;p\n1190,5;5;3;True\n2322,25;9;4;False\n", "64 48\n[0.00119, 5, 3, -1]\n[0.0023, 9, 4, 1]\n",
+    ]  # fmt: skip
+    contents = tuple(text.encode("latin1") for text in texts)
+    yield Target("foreign text", ".csv", contents, open_recording)
+    t, x, p = np.array([1190, 2322, 3465]), np.array([5, 9, 63], np.uint16), np.array([0, 1, 1], np.uint8)
+    np.savez(folder / "f.npz", ts=t, xs=x, ys=x, ps=p, time_unit="us", resolution=np.array([640, 480]))
+    np.save(folder / "f.npy", np.stack([t, x, x, p]))
+    for suffix in (".npz", ".npy"):
+        yield Target(f"foreign {suffix}", suffix, ((folder / f"f{suffix}").read_bytes(),), open_recording)
+    scope = "X,CH1,Start,Increment,\nSequence,Volt,0.0,2.5e-3\n0,1.0,\n1,1.5,\n"
+    dated = "timestamp,lux\n2024-01-01 12:00:00.000,1\n2024-01-01 12:00:00.002,2\n"
+    german = '"Zeit [ms]","U [V]"\n"0,5","1,5"\n"1,0","2,5"\n'
+    lights = tuple(text.encode() for text in (scope, dated, german))
+    yield Target("foreign light", ".csv", lights, load_stimulus)
+    colmap = folder / "colmap"
+    colmap.mkdir()
+    (colmap / "cameras.txt").write_text("1 OPENCV 64 48 40 41 32 24 0.1 0 0 0\n")
+    (colmap / "images.txt").write_text("1 1 0 0 0 0 0 3 1 a.png\n1 2 -1\n2 0.9 0 0.1 0 0 0 3 1 b.png\n\n")
+    cameras = struct.pack("<QiiQQ4d", 1, 1, 1, 64, 48, 40.0, 41.0, 32.0, 24.0)
+    images = struct.pack("<Qi7di", 1, 1, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 3.0, 1) + b"a.png\0" + struct.pack("<Q", 0)
+    (colmap / "cameras.bin").write_bytes(cameras)
+    (colmap / "images.bin").write_bytes(images)
+
+    def replaced(name: str) -> Callable[[Path], object]:
+        def read(path: Path) -> object:
+            content = (colmap / name).read_bytes()
+            (colmap / name).write_bytes(path.read_bytes())
+            try:
+                return way_of_file(colmap / f"images{path.suffix}", None)
+            finally:
+                (colmap / name).write_bytes(content)
+
+        return read
+
+    for name in ("cameras.txt", "images.txt", "cameras.bin", "images.bin"):
+        yield Target(f"colmap {name}", Path(name).suffix, ((colmap / name).read_bytes(),), replaced(name))
+    biases = (
+        b"299  % bias_diff\n% system_ID 28\n",
+        b'{"ll_biases_state": {"bias": [{"name": "bias_fo", "value": 1}]}}',
+    )
+    yield Target("biases", ".bias", biases, biases_beside)
 
 
 def _cameras(folder: Path) -> Iterator[Target]:

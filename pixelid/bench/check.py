@@ -174,7 +174,7 @@ def _few_events(session: Session) -> list[Recording]:
 def _row(
     recording: Recording, light: Light, alignment: RecordingAlignment, bench: Bench, shared: bool
 ) -> tuple[Recording | None, Row]:
-    """(the recording aligned, None where it cannot be used; what is said of it)."""
+    """(the recording aligned, None where it cannot be used; what is stated of it)."""
     events, pixels = len(recording.events), len(np.unique(recording.events.pixel))
     name = recording.name
     if shared:
@@ -229,7 +229,7 @@ def _judged(rows: Sequence[Row], statements: Sequence[Statement]) -> tuple[Statu
             "State them in a bench.toml (`pixelid check BENCH --init`)"
         )
     if any(s.statement == "polarity" for s in statements):
-        return Status.misfit, "ON and OFF are exchanged: state `--polarity swapped`, or mend what writes the files"
+        return Status.misfit, "ON and OFF are exchanged: state `--polarity swapped`, or correct what writes the files"
     return Status.converged, ""
 
 

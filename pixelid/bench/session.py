@@ -10,6 +10,7 @@ import numpy as np
 from pixelid.bench.files import Bench, Entry
 from pixelid.errors import InputError
 from pixelid.recordings.crop import crop
+from pixelid.recordings.doubts import doubts_of_events
 from pixelid.recordings.reading import open_recording
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.session import agreed
@@ -57,7 +58,7 @@ def read_session(
         roi: (x0, y0, x1, y1) of the sensor to look at; the bench's by default.
         pixels: How many are fitted; `FITTED_PIXELS` by default.
         seed: Chooses them.
-        progress: Told the file that is read.
+        progress: Called with the file that is read.
 
     Raises:
         InputError: No recording with a light, recordings of several sensors, lights in several units.
@@ -110,7 +111,7 @@ def _opened(entry: Entry, bench: Bench) -> tuple[Recording, Light]:
     elif recording.stimulus is not None:
         light = recording.stimulus
     else:
-        raise _Unusable("no light: neither in the file nor beside it")
+        raise _Unusable("no light: neither in the file nor in its folder")
     if isinstance(light, Stimulus):
         unit = bench.unit if bench.unit is not None and light.unit in WITHOUT_SCALE else light.unit
         light = replace(light, radiance=light.radiance * entry.level, unit=unit)
@@ -118,12 +119,13 @@ def _opened(entry: Entry, bench: Bench) -> tuple[Recording, Light]:
 
 
 def _inferences(recordings: Sequence[Recording]) -> list[str]:
-    """What was inferred of the files, each rule once with the recordings that it is about."""
+    """What was inferred of the files and what speaks against them, each once with the recordings that it is about."""
     lines: dict[str, list[str]] = {}
     for recording in recordings:
         line = Source.from_dict(recording.attributes.get(ATTRIBUTE)).line()
-        if line:
-            lines.setdefault(line, []).append(recording.name)
+        for one in (line, *doubts_of_events(recording.events)):
+            if one:
+                lines.setdefault(one, []).append(recording.name)
     everyone = len(recordings)
     return [line if len(names) == everyone else f"{', '.join(names)}: {line}" for line, names in lines.items()]
 

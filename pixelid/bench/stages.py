@@ -23,7 +23,7 @@ class Stages:
 
     Args:
         folder: That keeps them, made when the first stage ends; None: none.
-        inputs: Everything that results depend on beside the stage before: options, versions, hashes of files.
+        inputs: Everything that results depend on in addition to the stage before: options, versions, hashes of files.
     """
 
     def __init__(self, folder: Path | None, inputs: Mapping[str, Any]) -> None:

@@ -1,16 +1,16 @@
 """What bias currents imply of a pixel: thresholds, dead time, cutoff of the source follower; and how well.
 
-The formulas and nominal constants are those that jAER shows beside its sliders (`DavisConfig`, `DVS128`):
+The formulas and nominal constants are those that jAER shows with its sliders (`DavisConfig`, `DVS128`):
 
     θ_on  = κn/κp² · C2/C1 · ln(I_on / I_d),   θ_off = κn/κp² · C2/C1 · ln(I_d / I_off)
             (Nozaki & Delbruck 2017, IEEE Trans. Electron Devices 64, 3239);  κ = 0.7, C1/C2 = 20 (DVS128: 22)
     dead time = C V / I_refr,                  C = 20 fF, V = 0.8 V
     cutoff = I_sf / (2π U_T C1),               C1 = 131.167 fF, U_T = 25 mV;  where I_sf < I_pr / 2
 
-Standard deviations are of logarithms; every source of error is counted once per parameter and told by name:
+Standard deviations are of logarithms; every source of error is counted once per parameter and listed by name:
 
     bias current     0.25  of each splitter: 20 to 30 % measured in weak inversion, where these currents are (Delbrück &
-                           Lichtsteiner 2006, IEEE ISCAS); beside it a leakage of 1 pA, libcaer's smallest current
+                           Lichtsteiner 2006, IEEE ISCAS); and a leakage of 1 pA, libcaer's smallest current
     master current   0.2   cancels in thresholds.  jAER says 389 nA, its U_T ln M / R is 358 nA (M = 4, 100 kΩ): 8 %;
                            it goes with temperature, 298 to 330 K: 10 %; 5 mV between its transistors, of the 36 mV
                            across the resistor: 14 %
@@ -190,5 +190,5 @@ def _missing(currents: Currents, *roles: str) -> str:
 
 
 def _spread(current: Current) -> float:
-    """Standard deviation of ln I: of the splitter, and of what leaks beside it."""
+    """Standard deviation of ln I: of the splitter, and of what leaks with it."""
     return math.hypot(SPLITTER_SD, math.log1p(LEAKAGE_A / current.ampere))

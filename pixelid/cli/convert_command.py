@@ -1,4 +1,4 @@
-"""`pixelid convert`: any readable recording to .h5 with its light beside it, cut as asked, and back to text or npz."""
+"""`pixelid convert`: any readable recording to .h5 with its light with it, cut as asked, and back to text or npz."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def command(
 
     check_writable(target)
     if align is not None and stimulus is None:
-        raise InputError("--align: expected --stimulus beside it, the light to align")
+        raise InputError("--align: needs --stimulus, the light to align")
     light_files = [stimulus] if stimulus and Path(stimulus).exists() else []
     with claimed(target, overwrite, [source, *light_files]):
         from pixelid.recordings.reading import check_readable

@@ -52,7 +52,7 @@ def command(
     tumvie  a sequence of TUM-VIE: *events_left.h5, mocap_data.txt, two calibrations, left_images/
 
     Events are read piece by piece, whatever their number.  Lens distortion of the sensor goes into the dataset's
-    calibration, that of pictures is undone.  Writes dataset.json, a figure and report.html beside the data.
+    calibration, that of pictures is undone.  Writes dataset.json, a figure and report.html next to the data.
     """
     from pixelid.cli.progress import bar
     from pixelid.cli.terminal import say_result

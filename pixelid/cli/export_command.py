@@ -35,7 +35,7 @@ Example:
 def command(model, to, out, white, level, with_, without, set_, overwrite, seed, quiet):
     """Write the parameters of another simulator that come nearest to MODEL (shipped, .toml file or fit folder).
 
-    What that simulator cannot express is said in words, in the file and on the terminal.  The file is the simulator's
+    What that simulator cannot express is stated in words, in the file and on the terminal.  The file is the simulator's
     own: options of v2e and DVS-Voltmeter, flags of the improved ESIM, the pixel's part of camera_calibration.npz of
     Deblur e-NeRF; IEBCS has none and gets JSON.
     """

@@ -35,6 +35,8 @@ Example:
 @options.pixel_levels
 @click.option("--bias-priors", is_flag=True,
               help="Priors of thresholds, dead time and cutoff from the biases of jAER's header.")  # fmt: skip
+@click.option("--bias-laws", type=options.PATH,
+              help="The same from the laws of a `pixelid biases` folder, at the codes of .bias files.")  # fmt: skip
 @options.crop
 @options.reading
 @click.option("--sample", is_flag=True, help="Also draw from the posterior: posterior.nc, corner and trace plots.")
@@ -43,8 +45,8 @@ Example:
 @options.seed()
 @options.quiet
 def command(
-    recordings, model, out, with_, without, fix, gauge, between, engine, form, pixel_levels, bias_priors, crop,
-    sample, profile, overwrite, seed, quiet,
+    recordings, model, out, with_, without, fix, gauge, between, engine, form, pixel_levels, bias_priors, bias_laws,
+    crop, sample, profile, overwrite, seed, quiet,
 ):  # fmt: skip
     """Fit a circuit to RECORDINGS (files or folders), or as a RECIPE.toml says.
 
@@ -64,6 +66,8 @@ def command(
         raise InputError("a recipe brings its own model and options; edit the recipe instead")
     if not by_recipe and not model:
         raise InputError("--model is missing: a shipped model (see `pixelid models`), a file or a fit folder")
+    if bias_priors and bias_laws:
+        raise InputError("--bias-laws: not with --bias-priors, which are by other formulas")
     if by_recipe:
         read_toml(recordings[0])
     else:
@@ -90,8 +94,8 @@ def command(
             recipe = replace(recipe, form=form)
         if pixel_levels:
             recipe = replace(recipe, pixel_levels=pixel_levels)
-        if bias_priors:
-            recipe = replace(recipe, bias_priors=True)
+        if bias_priors or bias_laws:
+            recipe = replace(recipe, bias_priors=str(bias_laws) if bias_laws else True)
         with keeping(chain_beside(out), "the chains"), bar(quiet, compiles=True) as report:
             result = recipe.run(out, overwrite, report)
     if not quiet:

@@ -35,7 +35,7 @@ Example:
 def command(model, recordings, out, latency, camera, with_, without, set_, overwrite, seed, quiet):
     """Say where one pole describes the photoreceptor of MODEL (shipped, .toml or fit folder), and where it does not.
 
-    With recordings of chirps or steps, REC…, their measured bandwidth or step time is put beside the model's; with
+    With recordings of chirps or steps, REC…, their measured bandwidth or step time is put next to the model's; with
     --latency, the dominant pole in each light of the table, where its delay goes as one over the light, and which stage
     limits where. A folder of `pixelid latency` brings its own table. Writes lowlight.json, figures and report.html.
     """

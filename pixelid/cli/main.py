@@ -31,6 +31,7 @@ COMMANDS = {
     "latency": "Fit first-event latencies against irradiance, setting and edge.",
     "flicker": "What mains flicker alone says about the pixels.",
     "noise": "Noise events of still scenes against light: thresholds, noise, bandwidth.",
+    "biases": "Dead time, threshold, cutoff or latency against a bias's code: its law.",
     "lowlight": "Dominant-pole analysis over radiance.",
     "design": "Which stimulus to record next, and why.",
     "stimulus": "A waveform for a generator or sound card, with a trigger channel.",
@@ -40,6 +41,7 @@ COMMANDS = {
     "dataset": "Published raw data in the layout that reconstruct reads.",
     "reconstruct": "A sharp scene from motion-blurred events.",
     "render": "Views, videos, depth, meshes and splats of a reconstruction.",
+    "view": "A pixel to play with, in the browser.",
     "report": "A one-page report.html for any result folder.",
     "demo": "Calibrate a shipped bench session, compare with the truth.",
 }

@@ -11,6 +11,7 @@ EXAMPLE = """
 Example:
     pixelid models
     pixelid models dvs128
+    pixelid models imx636 --bias diff_on=-20,refr=10
 """
 
 ONE_TABLE = 110  # columns of a terminal from which on a value and where it comes from fit in one line
@@ -19,10 +20,13 @@ MOST_OF_NAMES = 34  # columns: the library's in one line, a described effect's i
 
 @click.command("models", epilog=EXAMPLE)
 @click.argument("name", required=False)
+@click.option(
+    "--bias", multiple=True, metavar="BIAS=CODE,…", help="At this setting, of the circuit's laws of bias codes."
+)
 @options.as_json
 @options.no_seed
 @click.option("--quiet", is_flag=True, help="Print names and values only.")
-def command(name: str | None, as_json: bool, seed: int, quiet: bool) -> None:
+def command(name: str | None, bias: tuple[str, ...], as_json: bool, seed: int, quiet: bool) -> None:
     """List the shipped circuits, or print the circuit NAME (shipped, .toml file or fit folder) with units and gauge."""
     import json
 
@@ -30,6 +34,8 @@ def command(name: str | None, as_json: bool, seed: int, quiet: bool) -> None:
     from pixelid.model.shipped import find_model, shipped_models
 
     models = [load_model(path) for path in shipped_models().values()] if name is None else [find_model(name)]
+    if bias:
+        models = [_at_setting(models[0], name, bias)]
     if as_json:
         documents = [to_document(model) for model in models]
         click.echo(json.dumps(documents if name is None else documents[0], indent=2, ensure_ascii=False))
@@ -45,6 +51,22 @@ def command(name: str | None, as_json: bool, seed: int, quiet: bool) -> None:
         from rich.console import Console
 
         _print_one(Console(markup=False), models[0])  # sources contain words in brackets
+
+
+def _at_setting(model, name: str | None, bias: tuple[str, ...]):
+    """The circuit NAME at a setting of its biases."""
+    from pixelid.biases.laws import stated_codes
+    from pixelid.biases.saved import read_laws
+    from pixelid.errors import InputError
+    from pixelid.fit.bias_priors import model_at
+    from pixelid.model.shipped import shipped_bias_laws
+
+    file = shipped_bias_laws(name) if name else None
+    if file is None:
+        raise InputError(f"--bias: expected a circuit with laws of bias codes, as imx636, found {name or 'none'}")
+    laws = read_laws(file)
+    known = list(dict.fromkeys(code for quantity in laws.values() for code in quantity.codes))
+    return model_at(model, laws, stated_codes(bias, known, "--bias"))
 
 
 def _overview(models) -> list[str]:

@@ -23,7 +23,7 @@ Example:
 @click.option(
     "--bias-law", is_flag=True, help="Columns end in a bias in mV (fo1477): one law for their cutoffs, and κ."
 )
-@click.option("--data", type=options.PATH, help="Where a recipe's files are; default: beside the recipe.")
+@click.option("--data", type=options.PATH, help="Where a recipe's files are; default: the recipe's folder.")
 @options.overwrite
 @options.no_seed
 @options.quiet

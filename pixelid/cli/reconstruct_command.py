@@ -92,7 +92,7 @@ def command(
     """Reconstruct the scene of DATASET, a folder in the published layout of Robust e-NeRF and Deblur e-NeRF.
 
     Writes reconstruction.json, field.npz, figures and report.html.  Exit code 1 when the events were not explained.
-    An interrupted run continues when started again.  OUT.preview.png beside OUT shows the scene as it comes; another
+    An interrupted run continues when started again.  OUT.preview.png next to OUT shows the scene as it comes; another
     file of that name is replaced with --overwrite only.
     """
     import shutil

@@ -93,7 +93,7 @@ def columns() -> int | None:
 
 
 def coloured(text: str) -> str:
-    """A line with the first word of `VERDICTS` in its colour, on a terminal that has not been told otherwise."""
+    """A line with the first word of `VERDICTS` in its colour, unless the terminal is set otherwise."""
     if not sys.stdout.isatty() or os.environ.get("NO_COLOR"):
         return text
     words = "|".join(VERDICTS)

@@ -19,7 +19,7 @@ from pixelid.documents import interpreting
 from pixelid.errors import InputError
 from pixelid.fit import FitResult, fit
 from pixelid.fit.data import as_fitted, event_times_of
-from pixelid.fit.fit import check_event_times
+from pixelid.fit.search import check_event_times
 from pixelid.model.files import save_model
 from pixelid.model.model import Model
 from pixelid.outputs import file_name
@@ -276,7 +276,7 @@ def _about_loo(contenders: Mapping[str, Contender]) -> str:
 
 
 def _undecided(contenders: Mapping[str, Contender], best: str) -> list[str]:
-    """Models that held-out pixels do not tell from the best, nearest first; the others have clearly lost."""
+    """Models that held-out pixels do not distinguish from the best, nearest first; the others have clearly lost."""
     gains = {name: contenders[best].held_out - c.held_out for name, c in contenders.items() if name != best}
     needed = float(student.ppf(DECISIVE, len(contenders[best].held_out) - 1))
     order = sorted(gains, key=lambda name: float(gains[name].sum()))
@@ -292,6 +292,6 @@ def _sentence(contenders: Mapping[str, Contender], best: str) -> str:
         nearest = min(gains, key=lambda name: float(gains[name].sum()))
         return f"the data support {best}: held-out pixels are {said[nearest]} likelier than under {nearest}"
     simpler = min((best, *open_), key=lambda name: len(contenders[name].result.coordinates))
-    few = "" if pixels >= FEW_PIXELS else f"; {pixels} pixels are few to tell by"
+    few = "" if pixels >= FEW_PIXELS else f"; {pixels} pixels are few to decide by"
     others = " and ".join(f"{name} ({said[name]})" for name in open_)
     return f"the data do not decide between {best} and {others}: take the simplest, {simpler}{few}"

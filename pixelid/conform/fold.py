@@ -1,4 +1,4 @@
-"""The table's lines, each folded from what a search has said; nothing here fits or decides anew."""
+"""The table's lines, each folded from what a search has said; nothing here fits or decides again."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from pixelid import stages
 from pixelid.conform.power import nats_needed
 from pixelid.conform.removals import BANDWIDTH, Removal
 from pixelid.conform.row import ABSENT, NOT_DECIDABLE, NOT_TESTED, PRESENT, STAGES, Row, Strength
-from pixelid.gap.attribute.candidates import INVERSE, NOT_IN_DENSITY
 from pixelid.gap.confirm.intervals import open_sides
 from pixelid.gap.criteria import Criteria
 from pixelid.gap.result import GapReport
@@ -31,7 +30,7 @@ class Beside:
         intervals: 95 %, of its free parameters.
         removals: Of effects that came with the base model.
         doubted: Named effect → others that explain as well what it does.
-        readout: Effect read off timestamps or single pixels → why it is absent, or None where nothing can tell.
+        readout: Effect read off timestamps or single pixels → why it is absent, or None where nothing can decide.
         signatures: Effect that timestamps or single pixels show → how.
         pixels: Whether events have pixels.
     """
@@ -72,16 +71,16 @@ def _row(effect: str, report: GapReport, beside: Beside, criteria: Criteria) -> 
     rivals = [name for name, others in beside.doubted.items() if effect in others]
     if rivals:
         return Row(effect, stage, NOT_DECIDABLE, f"would explain as well what {rivals[0]} does")
-    if report.base.has(effect) and effect in NOT_IN_DENSITY and beside.pixels:
+    if report.base.has(effect) and not stages.effect(effect).in_event_times and beside.pixels:
         return _readout_in_base(effect, beside)
     if report.base.has(effect):
         return _in_base(effect, beside, criteria)
     if effect in report.details.get("withdrawn", ()):
-        return Row(effect, stage, NOT_DECIDABLE, "named, and taken back: on pixels kept back it closes next to nothing",
+        return Row(effect, stage, NOT_DECIDABLE, "named, then removed: on held-out pixels it closes next to nothing",
                    {}, *_gains(effect, report.rounds))  # fmt: skip
     if report.verdict == "ambiguous" and effect in report.sentence:
         return Row(effect, stage, NOT_DECIDABLE, report.sentence)
-    if effect in NOT_IN_DENSITY and beside.pixels:
+    if not stages.effect(effect).in_event_times and beside.pixels:
         return _in_readout(effect, beside)
     return _lacking(effect, report, beside, criteria)
 
@@ -103,7 +102,10 @@ def _in_base(effect: str, beside: Beside, criteria: Criteria) -> Row:
     if removal is None and weakest > criteria.min_relative_strength:
         return Row(effect, own.stage, PRESENT, "in the base model; its interval excludes none", strengths)
     if strongest < 1.0:
-        limit = (free.name, limits[0] if effect in INVERSE else max(abs(limits[0]), abs(limits[1])))
+        limit = (
+            free.name,
+            limits[0] if own.weakens else max(abs(limits[0]), abs(limits[1])),
+        )
         why = "in the base model, fits as well without it, and its interval ends below the typical strength"
         return Row(effect, own.stage, ABSENT, why, {}, *said, limit=limit)
     without = "it could not be taken out" if removal is None else "fits as well without it"
@@ -126,7 +128,7 @@ def _relative(effect: str, limits: tuple[float, float], typical: float) -> tuple
     ends = sorted(abs(end) / abs(typical) for end in limits)
     if limits[0] < 0 < limits[1]:
         ends[0] = 0.0
-    if effect in INVERSE:
+    if stages.effect(effect).weakens:
         return 1.0 / max(ends[1], 1e-300), 1.0 / max(ends[0], 1e-300)
     return ends[0], ends[1]
 
@@ -139,7 +141,7 @@ def _in_readout(effect: str, beside: Beside) -> Row:
     why = beside.readout[effect]
     if why is None:
         return Row(
-            effect, stage, NOT_DECIDABLE, "too few events, pixels or quiet seconds, or too coarse a file, to tell"
+            effect, stage, NOT_DECIDABLE, "too few events, pixels or quiet seconds, or too coarse a file, to decide"
         )
     return Row(effect, stage, ABSENT, why)
 
@@ -191,7 +193,7 @@ def _limit(effect: str, shows: float, needed: float) -> tuple[str, float]:
     """(parameter, strength that would show enough): nats go with the square of the strength."""
     free = next(p for p in stages.effect(effect).parameters if p.free)
     factor = math.sqrt(needed / shows)
-    return free.name, abs(free.value) * (1.0 / factor if effect in INVERSE else factor)
+    return free.name, abs(free.value) * (1.0 / factor if stages.effect(effect).weakens else factor)
 
 
 def _bandwidth(rows: Sequence[Row], beside: Beside) -> Row:
@@ -212,7 +214,7 @@ def _bandwidth(rows: Sequence[Row], beside: Beside) -> Row:
 
 
 def _threshold(name: str, beside: Beside) -> Row:
-    """A threshold as fitted, or what kept it from being: every pixel has one, but no event may have told it."""
+    """A threshold as fitted, or what kept it from being: every pixel has one, but perhaps no event identifies it."""
     strength = beside.strength(name)
     limits = strength[1]
     has_it = "always present"

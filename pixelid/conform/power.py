@@ -17,7 +17,7 @@ def nats_needed(effect: str, alpha_each: float, tried: int, pixels: Mapping[str,
     """Nats on the training pixels that an effect has to be worth for a search to name it with a power of 80 %.
 
     A gain of S nats expected is a χ² of non-centrality λ = 2 S, of which √λ has about unit variance.  To be named the
-    gain has to be significant on the pixels that fit, beside `tried` effects, and to exceed so many of its standard
+    gain has to be significant on the pixels that fit, among `tried` effects, and to exceed so many of its standard
     errors on the pixels that select, where it is λ/2 ± √λ.
 
     Args:

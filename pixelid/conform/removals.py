@@ -10,7 +10,6 @@ import numpy as np
 from pixelid import stages
 from pixelid.errors import InputError
 from pixelid.fit.maximise import Maximum, maximise
-from pixelid.gap.attribute.candidates import NOT_IN_DENSITY
 from pixelid.gap.attribute.pixels import PixelCandidates, candidates_of
 from pixelid.gap.attribute.significance import chance_of_gain, leads
 from pixelid.gap.options import Context
@@ -42,7 +41,11 @@ def removals(state: State, context: Context) -> dict[str, Removal]:
     """By name: effects of the final model that came with the base, and the photoreceptor's bandwidth as a whole."""
     fitted = state.hypothesis.fit.model
     named = {step.effect for step in state.steps}
-    effects = [e for e in stages.LIBRARY if fitted.has(e) and e not in {*named, *NOT_IN_DENSITY, IN_ANY_DENSITY}]
+    effects = [
+        name
+        for name, effect in stages.LIBRARY.items()
+        if effect.in_event_times and fitted.has(name) and name not in {*named, IN_ANY_DENSITY}
+    ]
     evidence = state.hypothesis.evidence.weighed(fitted.circuit())
     judged = candidates_of(evidence, fitted, None, context.cache, context.work)
     tried = len(effects) + 1

@@ -93,5 +93,5 @@ class ConformReport(Result):
         return self.gap.sentences()
 
     def write_companions(self, folder: Path) -> None:
-        """Write the search beside the table: gap.json, model.toml (the grown model) and base.toml."""
+        """Write the search next to the table: gap.json, model.toml (the grown model) and base.toml."""
         self.gap.write(folder)

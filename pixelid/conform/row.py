@@ -25,7 +25,7 @@ class Row:
         verdict: One of `VERDICTS`.
         why: In words.
         parameters: Name → (value, 95 % interval), where it is present.
-        p_value: Of its gain, adjusted for what was tried beside it; None where no gain was taken.
+        p_value: Of its gain, adjusted for what was tried with it; None where no gain was taken.
         gain_nats, heldout_gain_nats: On pixels fitted, and on pixels that no fit has seen.
         shows_nats: By how much it would show at its typical strength.
         limit: (parameter, strength from which on it would have shown), where it is absent.

@@ -33,7 +33,7 @@ class BiasReport(ContentResult):
         return f"set {self.content['bias'] or 'the bias'} to {best['bias_mv']:.0f} mV; {self.status}"
 
     def tables(self) -> list[Table]:
-        """What the setting gives beside what is wanted; what the fitted settings gave."""
+        """What the setting gives and what is wanted; what the fitted settings gave."""
         content = dict(self.content)
         wishes = tuple(tuple(row) for row in wish_rows(content))
         measured = tuple(tuple(row) for row in measured_rows(content))
@@ -56,7 +56,7 @@ class BiasReport(ContentResult):
         return [text for text in (self.content["why"], self.content["advice"]) if text]
 
     def write_companions(self, folder: Path) -> None:
-        """Nothing beside the JSON."""
+        """Nothing but the JSON."""
 
 
 def bias_report(

@@ -145,7 +145,7 @@ def _of_fit(known: Known, names: tuple[str, ...]) -> np.ndarray:
 
 
 def known_from(names: Sequence[str], covariance: np.ndarray) -> Known:
-    """`Known` of a fit's covariance (n, n); parameters without variance (on a bound) tell nothing."""
+    """`Known` of a fit's covariance (n, n); parameters without variance (on a bound) add nothing."""
     covariance = np.asarray(covariance, dtype=float)
     seen = np.diag(covariance) > 0
     inverse = criteria.covariance(covariance[np.ix_(seen, seen)])  # inversion, well scaled
@@ -172,7 +172,7 @@ def _widths(coordinates: Coordinates, matrix: np.ndarray) -> dict[str, dict]:
 def _advice(ranking: list[dict], recordings, known, draws, model: Model) -> str:
     said = []
     if model.has(SHOT_NOISE):
-        said.append("shot noise is left out: what it hides, and what its own events would tell, is not counted")
+        said.append("shot noise is left out: what it hides, and what its own events would add, is not counted")
     if ranking[0]["score"] < 0.01:
         said.append("nothing on the menu adds more than 1 %: offer other levels or longer stimuli")
     if recordings and not draws:

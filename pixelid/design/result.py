@@ -1,4 +1,4 @@
-"""The result of a search for the next experiment: a ranked menu, and what the best stimulus would tell."""
+"""The result of a search for the next experiment: a ranked menu, and what the best stimulus would add."""
 
 from __future__ import annotations
 

@@ -84,7 +84,7 @@ class Waveform:
         return max(round(self.rest_s * self.rate_hz), 1), max(round(TAIL_S * self.rate_hz), 2)
 
     def save(self, path: str | Path, *, bits: int = 16, overwrite: bool = False) -> Path:
-        """Write a .wav or .csv for a generator, and the light's expected trace beside it, NAME_light.csv.
+        """Write a .wav or .csv for a generator, and the light's expected trace next to it, NAME_light.csv.
 
         Args:
             path: ending in .wav (left: light, right: trigger) or .csv (t_s, light, trigger).

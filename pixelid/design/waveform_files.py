@@ -1,4 +1,4 @@
-"""Waveforms as files: WAV for sound cards, CSV for generators, and the light's expected trace beside either."""
+"""Waveforms as files: WAV for sound cards, CSV for generators, and the light's expected trace next to either."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def check_name(path: Path) -> None:
 
 
 def trace_beside(path: Path) -> Path:
-    """The name of the light's expected trace beside a waveform, NAME_light.csv."""
+    """The name of the light's expected trace next to a waveform, NAME_light.csv."""
     return path.with_name(f"{path.stem}_light.csv")
 
 

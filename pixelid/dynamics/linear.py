@@ -21,7 +21,7 @@ def linear_stages(circuit: Circuit, light: float) -> tuple[np.ndarray, np.ndarra
     """(A (n, n), drive (n,), stored): dx/dt = A x + drive · (ln L − its mean) of the stages, around a constant light.
 
     The amplifier's output is the last state, and `stored` the one that a reset stores.  Left out are a lower cutoff,
-    and a slew limit: noise is slow beside it.
+    and a slew limit: noise is slow compared with it.
 
     Args:
         circuit: its stages.

@@ -1,7 +1,7 @@
 """The slew-limited follower in closed form:  d s/dt = clip(ωsf (y − s), −fall, +rise).
 
 Within a step of the light the follower is either free, and the chain linear, or at its limit: then s is a ramp, the
-photoreceptor goes on as ever, and the stages behind it answer a ramp.  All three have the closed form of `kernels`;
+photoreceptor goes on as before, and the stages behind it answer a ramp.  All three have the closed form of `kernels`;
 the moments between them are roots of ωsf (y − s) = limit.  A step that the limit does not touch is one closed form
 and a look at its end.
 

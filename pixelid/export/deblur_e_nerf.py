@@ -69,7 +69,7 @@ def _lost(model: Model) -> list[str]:
 
 def _usage(light: Light) -> list[str]:
     return [
-        "copy these arrays into the dataset's camera_calibration.npz, beside its geometry (intrinsics, "
+        "copy these arrays into the dataset's camera_calibration.npz, with its geometry (intrinsics, "
         "distortion_params, distortion_model, img_height, img_width, bayer_pattern), which a circuit does not have.",
         f"intensity of a view = radiance / {light.white:g} {light.unit}.",
     ]

@@ -71,7 +71,7 @@ class Exported:
         )
 
     def remarks(self) -> list[str]:
-        """What is said beside the parameters, in the file and on the terminal."""
+        """What is stated with the parameters, in the file and on the terminal."""
         head = f"white, 255 grey levels: {self.light.white:g} {self.light.unit}; level: {self.light.level:g}"
         lost = [f"lost: {sentence}" for sentence in self.lost] or ["lost: nothing"]
         return [head, *self.usage, *lost]
@@ -117,7 +117,7 @@ def write_lines(exported: Exported, path: Path, lines: Sequence[str]) -> None:
 
 
 def write_arrays(exported: Exported, path: Path) -> None:
-    """The parameters as a NumPy archive; `lost` and `remarks` are text arrays beside them."""
+    """The parameters as a NumPy archive; `lost` and `remarks` are text arrays with them."""
     arrays = {e.name: np.array(e.value, dtype=np.int64 if isinstance(e.value, int) else np.float32)
               for e in exported.entries}  # fmt: skip
     words = {"lost": np.array(exported.lost, dtype=str), "remarks": np.array(exported.remarks(), dtype=str)}

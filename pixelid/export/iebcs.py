@@ -2,7 +2,8 @@ r"""IEBCS (Joubert et al., Frontiers in Neuroscience 2021): arguments of `DvsSen
 
 Read from github.com/neuromorphicsystems/IEBCS at 8fdab5c.  Images V of radiometric values; ln(V + 1); a first-order
 response of time constant 1000 tau/(V + 1) µs; every event late by lat ± jit µs; the reference taken ref µs after the
-event's stamp; thresholds drawn anew for every event; background events of fixed periods that take the reference too.
+event's stamp; thresholds drawn independently for every event; background events of fixed periods that take the
+reference too.
 
 An interval on a ramp of slope m is C/m + lat + ref there, and C/m + 1/ωd + refractory_s here, where what delays the
 light (follower, constant part of the photoreceptor) delays the reference as well.  So the first event's delay and the
@@ -30,9 +31,9 @@ CARRIED = {
     "source_follower_pole": "a constant delay instead of a pole: fast signals keep their contrast.",
     "extra_pole": "a constant delay instead of a pole: fast signals keep their contrast.",
     "differencing_pole": "a constant delay of each event instead of a pole.",
-    "threshold_noise": "one standard deviation for ON and OFF; the simulator adds its effect on the time once more.",
+    "threshold_noise": "one standard deviation for ON and OFF; the simulator adds its effect on the time again.",
     "refractory_period": "",
-    "leak": "events of a fixed period that take the reference anew, instead of a drift that adds to the light's.",
+    "leak": "events of a fixed period that reset the reference, instead of a drift that adds to the light's.",
     "parasitic_photocurrent": "events of a fixed period, as at the level, instead of a drift that follows the light.",
     "shot_noise": "events of fixed periods, ON and OFF for themselves, as at the level.",
     "timestamp_jitter": "moves the reference with the stamp.",

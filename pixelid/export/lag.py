@@ -26,7 +26,7 @@ class Lag:
         floor: Radiance added to the light that `by_light` is divided by.
         photoreceptor: Its constant part.
         follower: Source follower and a pole after it.
-        differencing: Of the amplifier that each reset starts anew.
+        differencing: Of the amplifier that each reset restarts.
     """
 
     by_light: float

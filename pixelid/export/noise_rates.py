@@ -45,7 +45,7 @@ def shot_noise_rates(model: Model, radiance: float) -> NoiseRates:
 
 
 def noise_unexpressed(model: Model, noise: NoiseRates) -> list[str]:
-    """What is said of shot noise that makes no events."""
+    """What is stated of shot noise that makes no events."""
     if not model.has("shot_noise") or noise.hz > 0:
         return []
     return [f"shot noise: no events ({noise.words})."]

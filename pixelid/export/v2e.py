@@ -28,7 +28,7 @@ CARRIED = {
     "bandwidth_floor": "",
     "source_follower_pole": "merged into one pole with the photoreceptor: its part should not change with light.",
     "extra_pole": "merged into one pole with the photoreceptor: its part should not change with light.",
-    "differencing_pole": "merged into one pole with the photoreceptor; it should delay each event after a reset anew.",
+    "differencing_pole": "merged into one pole with the photoreceptor; it should delay each event after a reset.",
     "threshold_mismatch": "",
     "refractory_period": "silent for as long, but the reference stays that of the last event instead of being taken at "
     "the end, so that no contrast is lost; events due in the meantime come late, or in one frame.",

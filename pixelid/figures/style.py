@@ -3,7 +3,7 @@
 Drawing functions are called `draw_<what>(…, axes=None)`, are decorated with `styled`, put their artists on the axes
 given or on new ones, and return the axes.  Files are written by `save_figure`.
 
-The colours are those of Okabe and Ito (jfly.uni-koeln.de/color), told apart with every kind of colour blindness; ON
+The colours are those of Okabe and Ito (jfly.uni-koeln.de/color), distinguished with every kind of colour blindness; ON
 and OFF differ in lightness as well.  `INK` and `PAPER` are neutral: a report replaces them by the colours of its
 page, so that a figure reads in the dark too.
 """

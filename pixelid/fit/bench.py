@@ -163,7 +163,8 @@ def clocks_found(recordings: Sequence[Recording], model: Model, estimates: Mappi
 def common_delay(recordings: Sequence[Recording]) -> str:
     """What no fit can say of the recordings' clocks, in words; "" where there is nothing of the kind.
 
-    A delay common to all recordings is the clocks' or the readout's: only a trigger, or a clock that is known, tells.
+    A delay common to all recordings is the clocks' or the readout's: only a trigger, or a clock that is known,
+    separates them.
     """
     clocks = [clock_of(recording) for recording in recordings]
     if not clocks or any(clock is None or clock.prior.delay_sd_s is not None for clock in clocks):

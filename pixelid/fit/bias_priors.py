@@ -1,4 +1,4 @@
-"""Priors of a fit from the bias settings in the recordings' headers (`pixelid.biases`).
+"""Priors of a fit from the bias settings of the recordings: by jAER's formulas, or by laws fitted to tables.
 
 Parameters share sources of error: κ and the capacitor ratio are in both thresholds, the master current is in dead time
 and cutoff.  A fit's priors are independent, so each gets a variance that no combination of them undercuts: where k
@@ -13,50 +13,66 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from pixelid.biases import Implied, Value, currents_of, has_jaer_biases, implied_by
 from pixelid.biases.currents import CHIPS
+from pixelid.biases.saved import Quantity, read_laws
+from pixelid.documents import is_number
 from pixelid.errors import InputError
 from pixelid.model.model import Model
+from pixelid.model.shipped import shipped_bias_laws
 from pixelid.parameters.parameter import Prior
 from pixelid.recordings.recording import Recording
 from pixelid.results import Table, number
 from pixelid.statistics import Z95
 
-OPTION = "--bias-priors"
+OPTION, LAWS_OPTION = "--bias-priors", "--bias-laws"
 LITTLE_ADDED = 0.9  # of a prior's deviation: the events then carry less than a fifth (1 − 0.9²) of the information
 CONTRADICTION = 3.0  # standard deviations: one in 370 of right priors
 
 
-def with_bias_priors(model: Model, recordings: Sequence[Recording]) -> tuple[Model, dict[str, Any]]:
+def with_bias_priors(
+    model: Model, recordings: Sequence[Recording], laws: str | Path | None = None
+) -> tuple[Model, dict[str, Any]]:
     """The model with priors from the recordings' biases, and what fit.json says of them.
 
     A prior takes the place of the model's own, and the search starts at its mean.  Parameters that are held, or that
     the model lacks, get none.
 
+    Args:
+        model: of the fit.
+        recordings: whose biases are stated.
+        laws: folder of `pixelid biases`, whose laws are evaluated at the recordings' codes; jAER's formulas otherwise.
+
     Raises:
-        InputError: a recording without jAER's biases, recordings of different ones, or biases that say nothing of any
+        InputError: a recording without such biases, recordings of different ones, or biases that say nothing of any
             free parameter.
     """
-    implied = biases_of(recordings)
-    unused = dict(implied.without)
-    for name in implied.values:
+    if laws is None:
+        implied = biases_of(recordings)
+        values, told = implied.values, implied.as_dict()
+    else:
+        values, told = values_of_laws(Path(laws), recordings)
+    unused = dict(told["without"])
+    for name in values:
         if name not in model.parameters:
             unused[name] = f"not in model {model.name}"
         elif not model.parameters[name].free:
             unused[name] = "it is held"
-    priors = independent({name: value for name, value in implied.values.items() if name not in unused})
+    priors = independent({name: value for name, value in values.items() if name not in unused})
     if not priors:
         reasons = "; ".join(f"{name}: {why}" for name, why in unused.items())
-        raise InputError(f"{OPTION}: the biases give a prior for no free parameter ({reasons})")
+        option = OPTION if laws is None else LAWS_OPTION
+        raise InputError(f"{option}: the biases give a prior for no free parameter ({reasons})")
     parameters = dict(model.parameters)
     for name, prior in priors.items():
-        start = parameters[name].within(implied.values[name].value)
+        start = parameters[name].within(values[name].value)
         parameters[name] = replace(parameters[name], prior=prior, value=start)
-    told = implied.as_dict() | {"priors": {name: _told(prior) for name, prior in priors.items()}, "unused": unused}
+    told |= {"priors": {name: _told(prior) for name, prior in priors.items()}, "unused": unused}
     return replace(model, parameters=parameters), told
 
 
@@ -86,6 +102,72 @@ def biases_of(recordings: Sequence[Recording]) -> Implied:
             )
     assert first is not None
     return first
+
+
+def values_of_laws(folder: Path, recordings: Sequence[Recording]) -> tuple[dict[str, Value], dict[str, Any]]:
+    """Values of parameters at the recordings' codes by fitted laws, and what fit.json says of them.
+
+    Raises:
+        InputError: no laws, a recording that states none of their codes, or recordings of different codes.
+    """
+    laws = {q.parameter: q for q in read_laws(shipped_bias_laws(folder) or folder).values() if q.parameter}
+    known = {code for quantity in laws.values() for code in quantity.codes}
+    settings = []
+    for recording in recordings:
+        stated = recording.attributes.get("biases")
+        stated = stated if isinstance(stated, Mapping) else {}
+        settings.append({code: float(stated[code]) for code in known if is_number(stated.get(code))})
+        if not settings[-1]:
+            wanted = f"codes of {', '.join(sorted(known)) or 'biases'} (a .bias file beside the recording)"
+            raise InputError(f"{recording.name}: {LAWS_OPTION}: expected {wanted}, found none")
+        if settings[-1] != settings[0]:
+            raise InputError(
+                f"{recording.name}: {LAWS_OPTION}: other codes than {recordings[0].name}: fit recordings of one "
+                "setting together"
+            )
+    values, without = {}, {}
+    for name, quantity in laws.items():
+        prior = quantity.prior(settings[0])
+        if isinstance(prior, str):
+            without[name] = prior
+        else:
+            at = ", ".join(f"{code} {settings[0][code]:g}" for code in quantity.codes)
+            formula = f"{quantity.laws[0].form.name}, at {at}"
+            values[name] = Value(math.exp(prior[0]), quantity.unit, formula, {f"law of {name}": prior[1]})
+    told = {
+        "chip": recordings[0].sensor or "camera", "currents": {}, "without": without,
+        "values": {name: value.as_dict() for name, value in values.items()},
+    }  # fmt: skip
+    return values, told
+
+
+def model_at(model: Model, laws: Mapping[str, Quantity], codes: Mapping[str, float]) -> Model:
+    """The circuit at a setting of its biases: values and priors of what the laws are of; others stay.
+
+    Args:
+        model: whose own values are of some other setting; it gets the dead time if it lacks one.
+        laws: of `read_laws`.
+        codes: of biases; those not stated are 0, the default of drivers.
+
+    Raises:
+        InputError: a code at which a law has no value.
+    """
+    for quantity in laws.values():
+        at = {code: codes.get(code, 0.0) for code in quantity.codes}
+        prior = quantity.prior(at)
+        words = ", ".join(f"{code} {value:g}" for code, value in at.items())
+        if isinstance(prior, str):
+            raise InputError(f"{quantity.name} at {words}: expected a code where its law has a value: {prior}")
+        if quantity.parameter == "refractory_s" and "refractory_s" not in model.parameters:
+            model = model.with_effect("refractory_period")
+        if quantity.parameter not in model.parameters:
+            continue
+        low, high = quantity.at(at)["interval_95"]
+        own = model.parameters[quantity.parameter]
+        source = f"law of bias codes at {words}: 95 % {low:.4g} to {high:.4g}"
+        changed = replace(own, value=own.within(math.exp(prior[0])), prior=Prior(*prior), source=source)
+        model = replace(model, parameters={**model.parameters, quantity.parameter: changed})
+    return model
 
 
 def independent(values: Mapping[str, Value]) -> dict[str, Prior]:

@@ -2,8 +2,8 @@
 
 Whatever is decided from fits follows from them, and a fit follows from its events and stimuli, from the model it starts
 at and from its settings.  A hash of those is the key.  The file holds one JSON line per fit, each with a checksum, and
-only grows.  A line cut off by an interruption is dropped; a file that is damaged otherwise is set aside beside itself
-(`….damaged`) and that is said, its sound lines are kept, and what they lack is computed again.
+only grows.  A line cut off by an interruption is dropped; a file that is damaged otherwise is set aside next to itself
+(`….damaged`) and that is stated, its sound lines are kept, and what they lack is computed again.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.files import to_document
 from pixelid.model.model import Model
 from pixelid.outputs import set_aside
+from pixelid.recordings.bench import pixel_gains
 from pixelid.recordings.recording import Recording
 
 DIGEST_BYTES = 16  # 2⁻⁶⁴ for two of a search's few thousand fits to share a key
@@ -123,7 +124,7 @@ def map_fits(
     cache: FitCache | None,
     begun: Callable[[Item], None] = lambda item: None,
 ) -> list[Made]:
-    """Apply a function that fits to every item, and keep the fits that it makes, whoever makes them.
+    """Apply a function that fits to every item, and keep the fits that it makes, whichever process makes them.
 
     Args:
         work: Who does it.
@@ -147,7 +148,7 @@ def map_fits(
 
 @dataclass(frozen=True)
 class _Apart(Generic[Item, Made]):
-    """A function that fits, in a process that cannot write the cache: what it adds comes back beside the result."""
+    """A function that fits, in a process that cannot write the cache: what it adds comes back next to the result."""
 
     function: Callable[[Item, FitCache | None], Made]
     entries: Mapping[str, dict] | None
@@ -189,6 +190,8 @@ def _digest(likelihood: EventTimes) -> bytes:
         hashed.update(b"factor" + np.ascontiguousarray(likelihood.threshold_factor).tobytes())
     if likelihood.shift is not None:
         hashed.update(b"shift" + likelihood.shift.change.tobytes() + likelihood.shift.slope.tobytes())
+    if likelihood.by_gain is not None:
+        hashed.update(b"gains" + likelihood.by_gain.tobytes())
     return hashed.digest()
 
 
@@ -198,6 +201,6 @@ def _content(recording: Recording) -> bytes:
     assert stimulus is not None
     hashed.update(repr((recording.name, recording.sensor, events.width, events.height, events.tick_ns)).encode())
     hashed.update(stimulus.interpolation.encode())
-    for part in (events.t, events.x, events.y, events.p, *stimulus.arrays.values()):
+    for part in (events.t, events.x, events.y, events.p, *stimulus.arrays.values(), *pixel_gains(recording)):
         hashed.update(np.ascontiguousarray(part).tobytes())
     return hashed.digest()

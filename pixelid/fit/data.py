@@ -18,7 +18,7 @@ from pixelid.stimuli.trace_noise import without_trace_noise
 
 
 def as_fitted(recordings: Sequence[Recording]) -> list[Recording]:
-    """The recordings as every likelihood of them takes them: within their light, told apart by their names."""
+    """The recordings as every likelihood of them takes them: within their light, distinguished by their names."""
     recordings = without_trace_noise(named_apart(recordings))
     return with_told(with_pixel_lights([recording.within_stimulus() for recording in recordings]))
 
@@ -26,8 +26,9 @@ def as_fitted(recordings: Sequence[Recording]) -> list[Recording]:
 def event_times_of(result: FitResult, recordings: Sequence[Recording]) -> EventTimesObjective:
     """The objective whose optimum a fit to event times is, of these recordings or of other pixels of them.
 
-    Recordings are within their light and told apart as the fit took them, the light between samples runs as it found,
-    and where stamps jitter, their noise counts at the reset as well, as at its optimum; so does shot noise in levels.
+    Recordings are within their light and distinguished as the fit took them, the light between samples runs as it
+    found, and where stamps jitter, their noise counts at the reset as well, as at its optimum; so does shot noise in
+    levels.
 
     Args:
         result: of `fit`, without levels of pixels.

@@ -35,7 +35,7 @@ class EventTimesObjective(Objective):
     """The log posterior of a model under the event-time likelihood.
 
     off: parameter → by how much its coordinate comes out too large where the likelihood is approximate: the likelihood
-        at x is that of x + off, so that its maximum is put right
+        at x is that of x + off, so that its maximum is corrected
     """
 
     def __init__(
@@ -144,7 +144,7 @@ class EventTimesObjective(Objective):
             return Tangent(None, numbers)
         here, likelihood = self.terms(x).changes, self.at(x)
         if moved is None:
-            difference = likelihood.changes(there, here.extremes)
+            difference = likelihood.changes(there, here)
         else:
             difference = likelihood.changes_of_one(there, here, moved)
         slope = difference.vector

@@ -1,4 +1,4 @@
-"""Figures of a fit: measured beside simulated per condition, and what is left over."""
+"""Figures of a fit: measured and simulated per condition, and what is left over."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def draw_conditions(result: Fitted, recordings: Sequence[Recording], axes: Any =
         axis.set_axis_off()
     for top, bottom in zip(axes[::2, 0], axes[1::2, 0], strict=True):
         top.set_ylabel("events per\npixel and second")
-        bottom.set_ylabel("difference\n(chance: ±1)")
+        bottom.set_ylabel("difference (σ)")
     axes[0, 0].legend(ncols=2, fontsize=7)
     return axes
 
@@ -241,7 +241,7 @@ def draw_edges(result: Fitted, recordings: Sequence[Recording], axes: Any = None
             axis.set_title(f"{recording.name}: {name}")
             left.set_xlabel("time after the edge, stimulus clock (ms)")
             axis.set_ylabel(f"events per {1e6 * width:.0f} µs")
-            left.set_ylabel("difference\n(chance: ±1)")
+            left.set_ylabel("difference (σ)")
             finish_pair(axis, left)
     axes[0, 0].legend()
     return axes

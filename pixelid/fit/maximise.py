@@ -92,7 +92,7 @@ def maximise_with_restarts(
     max_steps: int,
     cache: FitCache | None = None,
 ) -> Maximum:
-    """As `maximise`, and once more with the cutoffs that ran away from `nominal` put back, if any; the better of both.
+    """As `maximise`, and again with the cutoffs that ran away from `nominal` put back, if any; the better of both.
 
     A cutoff far above all others leaves the likelihood flat: a fit that gets there by accident stays, though a better
     optimum lies where the pole belongs.  A neighbouring effect would then pass for a pole that the model has.  A

@@ -1,7 +1,7 @@
-"""Fits to light that the sensor measured itself: what such light can tell, and what a fit has to hold.
+"""Fits to light that the sensor measured itself: what such light can identify, and what a fit has to hold.
 
 The light is known after each event, and between two of them it changed by about a threshold at a moment that only the
-event tells.  Poles and dead time act within milliseconds of that moment, which no sample resolves: whatever a fit said
+event shows.  Poles and dead time act within milliseconds of that moment, which no sample resolves: whatever a fit said
 of them would follow from the line drawn between the samples.  They are held where the model has them; what they delay
 together is the delay, which is fitted.
 """
@@ -21,14 +21,14 @@ from pixelid.stages import LIBRARY
 from pixelid.stages.photoreceptor import parameters as of_photoreceptor
 from pixelid.stimuli.pixel_lights import pixel_lights
 
-NO_PHYSICAL = "the photoreceptor is held, not fitted: samples of the light cannot tell it"
+NO_PHYSICAL = "the photoreceptor is held, not fitted: samples of the light cannot identify it"
 BLOCKS = 10  # of events by their interval
 UNRESOLVED_STAGES = "photoreceptor", "source_follower"  # act faster than the samples
 UNRESOLVED = {"diff_cutoff_hz", "refractory_s", "dead_time_without_reset.s"}
 
 
 def unresolved(model: Model) -> list[str]:
-    """Names of the free parameters that light measured after each event cannot tell."""
+    """Names of the free parameters that light measured after each event cannot identify."""
     names = {p.name for p in of_photoreceptor(model.photoreceptor)}
     names |= {p.name for e in model.effects for p in LIBRARY[e].parameters if LIBRARY[e].stage in UNRESOLVED_STAGES}
     return [name for name in model.free if name in names | UNRESOLVED]
@@ -37,7 +37,8 @@ def unresolved(model: Model) -> list[str]:
 def as_light_tells(model: Model, recordings: Sequence[Recording]) -> Model:
     """The model with `unresolved` parameters held where any of the recordings measured its light itself.
 
-    Its delay is free within half a gap between samples: what the light between them adds is told at the events' stamps.
+    Its delay is free within half a gap between samples: what the light between them adds is known at the events'
+    stamps.
     """
     if not any(map(is_measured, recordings)):
         return model
@@ -99,4 +100,4 @@ def held_in_words(names: Sequence[str], recordings: Sequence[Recording]) -> list
     if not names:
         return []
     gap = f"{1e3 * typical_gap_s(recordings):.2g} ms"
-    return [f"{', '.join(names)}: held as the model has them; samples of the light {gap} apart cannot tell them"]
+    return [f"{', '.join(names)}: held as the model has them; samples of the light {gap} apart cannot identify them"]

@@ -2,7 +2,7 @@
 
 Levenberg–Marquardt with Nielsen's damping update (Madsen, Nielsen & Tingleff 2004, section 3.2).  Each step is the best
 one of the quadratic model inside the bounds and the longest move of each coordinate: a coordinate that the data do not
-tell goes as far as it may without shortening the moves of the others.
+identify goes as far as it may without shortening the moves of the others.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What every recording has anew (a lamp's phase): free in each of them, from where the events of each want it.
+"""What every recording has of its own (a lamp's phase): free in each of them, from where the events of each want it.
 
 Recordings are made minutes apart, so an effect's `starts_anew` parameters are theirs and not the camera's.  A phase has
 many optima: a fit climbs to the nearest, so each recording starts at the best of `PHASES`.
@@ -18,7 +18,7 @@ PHASES = tuple(np.pi * (k / 4.0 - 1.0) for k in range(8))  # at most 22.5° from
 
 
 def with_own_values(model: Model, names: Sequence[str], parts_of: Callable[[Model], np.ndarray]) -> Model:
-    """The model with what starts anew in each recording free there.
+    """The model with what each recording has of its own free there.
 
     Unchanged where nothing of the kind is free, where there is one recording, and where recordings share a name.
 

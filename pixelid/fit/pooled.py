@@ -13,6 +13,7 @@ from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.newton import Optimum, maximise
 from pixelid.fit.own_values import with_own_values
 from pixelid.fit.pooled_rate import PooledRateObjective
+from pixelid.fit.search import Found
 from pixelid.fit.starts import align, match_counts
 from pixelid.inspection.bursts import BurstCounter, Bursts
 from pixelid.likelihood.pooled_rate import PooledRate
@@ -43,8 +44,8 @@ def fit_pooled(
     fixed: Mapping[str, float],
     report: Callable[[str, float], None],
     seed: int = 0,
-) -> tuple[PooledRateObjective, Optimum, dict, int]:
-    """(objective, optimum, details, 1) of the model fitted to pooled counts.
+) -> Found:
+    """The optimum of pooled counts.
 
     The search goes from wide optima to narrow ones: the fluid limit, a blurred pool from several thresholds, the pool
     on a part of the events, the pool on all.  A model without threshold_noise is fitted in the fluid limit.
@@ -112,10 +113,9 @@ def fit_pooled(
         "dispersion": dispersion,
         "bin_s": float(np.diff(likelihood.counts[0].edges[:2])[0]),
         "steps": steps,
-        "caveats": caveats,
-        "information": optimum.local.information if fluid else objective.information(optimum.x, optimum.local, seed),
     }
-    return objective, optimum, details, 1
+    information = optimum.local.information if fluid else objective.information(optimum.x, optimum.local, seed)
+    return Found(objective, optimum, 1, details, caveats=caveats, dispersion=dispersion, information=information)
 
 
 def _poles(model: Model) -> tuple[str, ...]:

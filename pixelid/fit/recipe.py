@@ -11,7 +11,7 @@ between = "auto"                "linear", "smooth" or "auto"
 engine = "casadi"               "casadi", "torch" or "scipy"
 form = "discrete"               "discrete" or "continuous"
 pixel_levels = ""               "gain", "background" or "both" of every pixel unknown; "gain=0.2": by that much
-bias_priors = false             priors from the bias settings in the recordings' headers
+bias_priors = false             priors from the bias settings in the recordings' headers; "laws/": by fitted laws
 sample, profile = false         also draw from the posterior, also profile every parameter
 roi = [0, 0, 64, 64]            only these columns and rows (as --roi), time = [0.0, 0.5], pixels = 25,
 without_hot_pixels = true       likewise
@@ -79,7 +79,7 @@ class Recipe:
     form: str = "discrete"
     crop: Crop = field(default_factory=Crop)
     pixel_levels: str = ""
-    bias_priors: bool = False
+    bias_priors: bool | str = False
 
     @staticmethod
     def of(
@@ -161,7 +161,7 @@ class Recipe:
 
 
 def chain_beside(out: Path) -> Path:
-    """Where the chains of an unfinished sampling wait to be continued: beside the result folder, hidden."""
+    """Where the chains of an unfinished sampling wait to be continued: next to the result folder, hidden."""
     return out.with_name(f".{out.name}.chain.npz")
 
 
@@ -206,7 +206,9 @@ def read_recipe(path: Path) -> Recipe:
         _choice(document, "form", FORMS, path),
         _crop(document, path),
         document.get("pixel_levels", ""),
-        _yes_or_no(document, "bias_priors", path),
+        str(base / document["bias_priors"])
+        if isinstance(document.get("bias_priors"), str)
+        else _yes_or_no(document, "bias_priors", path),
     )
 
 

@@ -1,6 +1,6 @@
 """From an end near the optimum to the optimum of all events, and how the light runs between its samples.
 
-Recorded light may be linear between its samples or smooth, and which of the two only the events tell.  Both are fitted,
+Recorded light may be linear between its samples or smooth, and which of the two only the events show.  Both are fitted,
 each over finer samples (`with_fine_light`), and the likelier one is kept.  Where events are many, pixels with
 `PART_EVENTS` of them are fitted first: all events then begin a step or two from their optimum, and where the part has
 decided how light runs, under that light only.  What is found is the optimum of all events either way.
@@ -39,7 +39,7 @@ class Refined:
     objective: of all events under that light
     optimum: of it
     between: "linear" or "smooth"
-    details: what decided it, as results tell it
+    details: what decided it, as results show it
     """
 
     objective: EventTimesObjective
@@ -66,7 +66,7 @@ def refine(
         kinds: Of `BETWEEN`, those to try.
         maximiser: What finds the optimum.
         rng: Chooses the pixels of the part.
-        report: Told the share that is done, after every optimum.
+        report: Called with the share that is done, after every optimum.
     """
     details: dict[str, float] = {}
     events = sum(len(recording.events) for recording in recordings)

@@ -309,7 +309,7 @@ class FitResult(Result):
             return result
 
     def plot_response(self, recordings: RecordingsLike) -> np.ndarray:
-        """Measured event rates (filled) beside the fitted model's (lines): matplotlib axes, one per recording."""
+        """Measured event rates (filled) and the fitted model's (lines): matplotlib axes, one per recording."""
         from pixelid.fit import figures
         from pixelid.inputs import as_recordings
 

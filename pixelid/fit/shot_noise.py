@@ -1,11 +1,11 @@
-"""Shot noise fitted to event times: the circuit under the noise, and the noise beside the circuit, in turns.
+"""Shot noise fitted to event times: the circuit under the noise, and the noise given the circuit, in turns.
 
 Given a density, events have the likelihood of `likelihood.shot_noise.under_shot_noise`, which any search maximises;
-given a circuit, the filter of that module tells the density.  Both together settle within a few turns.  Filter and
+given a circuit, the filter of that module estimates the density.  Both together settle within a few turns.  Filter and
 likelihood take levels as they are at given times, to first order: where noise is strong the density comes out up to
-10 % too large, the thresholds' noise by a third.  Sessions simulated from the fit show by how much, and all is put
-right by it (indirect inference: Gouriéroux, Monfort & Renault 1993, J. Appl. Econometrics 8, S85).  They also show what
-structure the approximation leaves in the residuals of a true model.
+10 % too large, the thresholds' noise by a third.  Sessions simulated from the fit show by how much, and all is
+corrected by it (indirect inference: Gouriéroux, Monfort & Renault 1993, J. Appl. Econometrics 8, S85).  They also show
+what structure the approximation leaves in the residuals of a true model.
 
 To the rest of a fit, what the filter says of the density is a normal likelihood of its logarithm: it enters as one.
 """
@@ -148,7 +148,7 @@ def fit_under_shot_noise(objective: EventTimesObjective, optimum: Optimum, model
 def _simulated(
     objective: EventTimesObjective, x: np.ndarray, density: float, whole: float, seed: int
 ) -> _Simulated | None:
-    """What sessions simulated from coordinates x and a density show; None where they cannot be made or told."""
+    """What sessions simulated from coordinates x and a density show; None where they cannot be made or fitted."""
     likelihood, coordinates = objective.at(x), objective.coordinates
     truth = coordinates.model_at(x).set({DENSITY: density})
     if not can_be_simulated(likelihood.recordings, truth):

@@ -19,7 +19,7 @@ def feasible(model: Model, likelihood: EventTimes) -> Model:
 
     Thresholds start at the median level at the events, threshold noise at its spread; fixed parameters stay.  A silence
     starts where intervals recur, or where it is if that explains the events better: its end is too sharp to climb to.
-    What starts anew in each recording starts where it suits each best.
+    What has its own value in each recording starts where it suits each best.
     """
     model = in_event_times(model, likelihood)
     changes: dict[str, float] = {}
@@ -47,7 +47,7 @@ def feasible(model: Model, likelihood: EventTimes) -> Model:
 
 
 def narrower(model: Model, likelihood: EventTimes) -> Model | None:
-    """Where lost events leave the thresholds scattered far more than most levels say: started by those anew.
+    """Where lost events leave the thresholds scattered far more than most levels say: restarted from those.
 
     Any two events may have had a lost one between them if thresholds scatter by half: an optimum of its own, which the
     search does not leave, tens of thousands of nats below the other.

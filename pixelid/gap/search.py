@@ -29,7 +29,11 @@ from pixelid.gap.steps.ask_stamps import ask_stamps
 from pixelid.gap.steps.bootstrap_remainder import bootstrap_remainder
 from pixelid.gap.steps.confirm import confirm
 from pixelid.gap.steps.discount_imputation_noise import discount_imputation_noise
-from pixelid.gap.steps.explain_by_shot_noise import try_before_next_effect, try_shot_noise
+from pixelid.gap.steps.explain_by_shot_noise import (
+    try_before_first_effect,
+    try_before_next_effect,
+    try_shot_noise,
+)
 from pixelid.gap.steps.name_beside_shot_noise import name_beside_shot_noise
 from pixelid.gap.steps.name_effect import is_astray, name_effect, name_what_settles, restart
 from pixelid.gap.steps.recordings_differ import ask_recordings
@@ -75,8 +79,11 @@ def begin(recordings: Sequence[Recording], model: Model, context: Context) -> St
 def name_next(state: State, context: Context) -> State:
     """One round, before which shot noise has its chance unless an effect leaves nothing; after the last the stamps are
     asked."""
-    settled = name_what_settles(state, context)
-    state = _one_round(state, context) if settled is None else settled
+    if state.turn == 0:
+        state = try_before_first_effect(state, context)
+    if state.phase is Phase.NAME:
+        settled = name_what_settles(state, context)
+        state = _one_round(state, context) if settled is None else settled
     state = ask_stamps(state, context) if state.phase is Phase.SHOT_NOISE else state
     return ask_again(state, context) if state.phase is Phase.SHOT_NOISE else state
 
@@ -89,7 +96,8 @@ def _one_round(state: State, context: Context) -> State:
             return state
     if is_astray(state, context):  # a limit of the slew, before what stands in for it
         state = ask_stamps(state, context)
-    state = try_before_next_effect(state, context)
+    if state.steps:
+        state = try_before_next_effect(state, context)
     return name_effect(state, context) if state.phase is Phase.NAME else state
 
 

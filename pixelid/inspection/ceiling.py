@@ -44,7 +44,7 @@ class Ceiling:
 
 
 def find_ceiling(events: Events, clock_s: float | None) -> Ceiling | None:
-    """The readout ceiling, or None when the events are too few to tell."""
+    """The readout ceiling, or None when the events are too few to decide."""
     survey = Survey(events.width, events.height, False)
     survey.add(events)
     paces = Paces(survey, clock_s)

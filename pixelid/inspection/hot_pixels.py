@@ -2,8 +2,8 @@
 
 Two kinds of evidence, by what is known of the light.  Over a whole recording a pixel must stand out from the population
 *and* from its neighbours, since edges and lamps of a scene fire much too (`find_hot_pixels`).  Under full-field light
-all pixels see the same, so whoever fires ON in stretches where the others are silent is hot, however rarely it fires
-(`find_hot_pixels_in_silence`): a few events per second that drown in the response to a chirp show there.
+all pixels see the same, so a pixel that fires ON in stretches where the others are silent is hot, however rarely it
+fires (`find_hot_pixels_in_silence`): a few events per second that drown in the response to a chirp show there.
 """
 
 from __future__ import annotations
@@ -80,13 +80,14 @@ def median_around(
     Returns:
         (pixels,), 0 for pixels that are not kept.
     """
-    from scipy.ndimage import median_filter
-    from scipy.spatial import KDTree
-
     if kept is None:
+        from scipy.ndimage import median_filter
+
         footprint = np.ones((side, side), bool)
         footprint[side // 2, side // 2] = centre
         return median_filter(image, footprint=footprint, mode="mirror").ravel()
+    from scipy.spatial import KDTree
+
     there = np.flatnonzero(kept)
     position = np.column_stack(np.divmod(there, image.shape[1]))
     most = min(side * side, len(there))
@@ -109,10 +110,11 @@ def hot_of_counts(image: np.ndarray, duration_s: float, kept: np.ndarray | None 
     log = np.log(active)
     spread = SD_PER_MEDIAN * float(np.median(np.abs(log - np.median(log))))
     population = max(middle * np.exp(ROBUST_SIGMAS * min(spread, 1.0)), OVER_NEIGHBOURS * middle)
-    usual = counts.mean() if kept is None else counts[kept].mean()
-    around = OVER_NEIGHBOURS * np.maximum(median_around(image, kept), usual)
-    needed = np.maximum(population + 6 * np.sqrt(population), around + 6 * np.sqrt(around))
-    hot = np.flatnonzero(counts > np.maximum(needed, MIN_EVENTS))
+    hot = np.flatnonzero(counts > max(population + 6 * np.sqrt(population), MIN_EVENTS))
+    if len(hot):  # whose neighbours are looked at
+        usual = counts.mean() if kept is None else counts[kept].mean()
+        around = OVER_NEIGHBOURS * np.maximum(median_around(image, kept)[hot], usual)
+        hot = hot[counts[hot] > around + 6 * np.sqrt(around)]
     hot = hot[np.argsort(-counts[hot], kind="stable")]
     return [HotPixel(int(k % width), int(k // width), float(counts[k] / duration_s), int(counts[k])) for k in hot]
 

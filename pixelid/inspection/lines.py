@@ -217,7 +217,7 @@ def _p_values(ratio: np.ndarray, segments: int, looked_at: int) -> np.ndarray:
 
 
 def _narrow(ratio: np.ndarray, k: int) -> bool:
-    """Whether bin k stands out from the bins beside the taper's main lobe, on both sides."""
+    """Whether bin k stands out from the bins next to the taper's main lobe, on both sides."""
     sides = ratio[max(k - 8, 1) : k - 2], ratio[k + 3 : k + 9]
     return all(len(side) > 0 and ratio[k] > 8 * side.mean() for side in sides)
 

@@ -24,7 +24,7 @@ def findings(
         elif on.kind == "irregular" and off is not None and off.kind == "irregular":
             said.append(
                 f"{light:g} lux: both polarities, irregular (cv ON {_value(on.cv)}, OFF {_value(off.cv)}): noise "
-                "across the thresholds, as shot noise makes; a leak as in brighter light would not show beside it"
+                "across the thresholds, as shot noise makes; a leak as in brighter light would be hidden by it"
             )
         elif on.kind == "silent":
             said.append(f"{light:g} lux: too few ON events repeat to say anything")
@@ -44,7 +44,7 @@ def unknown(conditions: Sequence[Condition], lux: tuple[float, float] | None) ->
     """What they leave open, in sentences."""
     said = [
         "the length of the recordings is inferred (pixels that fire all along), not stated; rates scale with it",
-        "events that a pixel sent once are not in the file, nor times, nor the order of intervals, nor ON beside OFF",
+        "events that a pixel sent once are not in the file, nor times, nor the order of intervals, nor ON against OFF",
     ]
     if lux is not None:
         said.append(

@@ -98,7 +98,7 @@ def _dead_time(dead: dict[str, Any]) -> str:
 
 def _tick(tick: dict[str, Any]) -> str:
     if tick["clock_s"] is None:
-        return "too few events to tell"
+        return "too few events"
     clock = _seconds(tick["clock_s"])
     if tick["scan_s"] is None:
         return clock
@@ -122,7 +122,7 @@ def _hot_pixels(pixels: list[dict[str, Any]], count: int) -> str:
 
 def _ceiling(ceiling: dict[str, Any] | None) -> str:
     if ceiling is None:
-        return "too few events to tell"
+        return "too few events"
     if not ceiling["saturated"]:
         return "not reached"
     words = "" if ceiling["grouping"] == "event" else f" ({ceiling['groups_hz']:.3g} {ceiling['grouping']} words/s)"

@@ -1,7 +1,7 @@
 """Timestamp signatures: what the readout did to the timestamps, seen in them alone, before any model is fitted.
 
-**One server** (`readout_latency`): with service time s no two events leave less than s apart, and whoever had to wait
-leaves exactly s after the one before.  Of the waits between successive events of different pixels, none is shorter
+**One server** (`readout_latency`): with service time s no two events leave less than s apart, and an event that had to
+wait leaves exactly s after the one before.  Of the waits between successive events of different pixels, none is shorter
 than s, and an atom sits at s on a density that is smooth elsewhere.
 
 **A grid** (`timestamp_quantisation`): all timestamps are multiples of a tick that is coarser than the file's own, or

@@ -140,7 +140,7 @@ class ChangeEvaluator:
                 located for the derivative does not see the position (envelope theorem).
             events: (7, n) to be filled.
             pixels: (4, m) to be filled.
-            clock: Of the recording beside that of its light; None: they are one.
+            clock: Of the recording in addition to that of its light; None: they are one.
             unknown: Standard deviation of levels about these changes, by light or noise that is not known.
 
         Returns:

@@ -1,7 +1,7 @@
 """The log-likelihood of event times (Low & Lee, ECCV 2024, for the pixel; docs/model.md for the derivation).
 
 With z_k = sign · change(t_k) and rate r_k = dz/dt at event k, a threshold C_i of pixel i and polarity that is
-drawn anew for each event with standard deviation s_k, the density of the event time is
+drawn independently for each event with standard deviation s_k, the density of the event time is
 
     N(z_k; C_i, s_k²) · r_k · Φ((C_i' − m_k)/s')
 
@@ -18,7 +18,7 @@ s_k² = (σ C_i)² + q_k r_k² (tick²/12 + jitter²): threshold noise scales wi
 timestamp's width is noise in time (q_k: `EventTimes.weighed`).  Light that is only known at
 samples adds to s_k² and changes r_k (`light_between_samples.py`).  For C_i in s_k stands its posterior mean under s_k²
 with the population's C, known to a few tenths of a percent where a pixel has a hundred events.  (With the population's
-C there, the scatter of events would pretend to tell the population's thresholds, and their intervals would be some
+C there, the scatter of events would pretend to identify the population's thresholds, and their intervals would be some
 10 % too short.)
 
 Pixel-to-pixel mismatch, C_i ~ N(C, τ²), is integrated out in closed form.  For a group (pixel, polarity) with

@@ -49,7 +49,7 @@ class GroupTerms(NamedTuple):
     """(g,) per pixel and polarity.
 
     centre, spread: mean and variance of the population's thresholds
-    first_W, first_A: Σ w, Σ w z with the population's noise;  own: the threshold they tell, which scales the noise
+    first_W, first_A: Σ w, Σ w z with the population's noise;  own: the threshold they imply, which scales the noise
     W, A: the same sums with the group's own noise;  weighted_mean: A/W, 0 without events
     mean, variance: of the threshold, given the events;  term: log-likelihood
     """
@@ -141,7 +141,7 @@ def posterior(at_group, W, A, g):
 @njit(cache=True, nogil=True, error_model="numpy")
 def _classify(group, event, impossible, background_hz, at_group, background):
     """Fill `background`: events that the background explains better, first against the population, then against the
-    threshold that the rest of their group tells; and the sums of that rest.
+    threshold that the rest of their group implies; and the sums of that rest.
     """
     W, A = at_group.first_W, at_group.first_A
     centre, extra = at_group.centre.copy(), at_group.spread.copy()

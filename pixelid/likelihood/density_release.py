@@ -12,7 +12,8 @@ Together they integrate to one: Φ(z(tq + h)) is the chance of an event before, 
 at tq + h is that at the event, carried on by its slope.  Such events say of thresholds only that they lay below; a
 group's posterior is that of its other events.
 
-SHARE keeps w from being as short as a nanosecond, where no optimiser would find it; the silence is told to w/√n anyway.
+SHARE keeps w from being as short as a nanosecond, where no optimiser would find it; the silence is known to w/√n
+anyway.
 """
 
 from __future__ import annotations

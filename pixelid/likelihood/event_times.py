@@ -45,8 +45,10 @@ class EventTimes:
     Attributes:
         layout: Which pixel and recording each of the n intervals belongs to.
         clock_share: (n,) how often timestamp noise counts, 1 until `weighed`.
-        threshold_factor: (n,) what each event's threshold is multiplied by beside all that the circuit says, or None.
+        threshold_factor: (n,) what each event's threshold is multiplied by in addition to all that the circuit says,
+            or None.
         shift: What noise has added to the changes at events, or None.
+        by_gain: What the gains of pixels add to changes where that is held, else None.
         unknown_light: What is not known of light that sensors measured themselves, None where there is none.
 
     Raises:
@@ -77,6 +79,7 @@ class EventTimes:
         self.clock_share = read_only(np.ones(self.events))
         self.threshold_factor: np.ndarray | None = None
         self.shift: Shift | None = None
+        self.by_gain: np.ndarray | None = None
         self._large = samples + self.events > LARGE
 
     @property
@@ -156,24 +159,22 @@ class EventTimes:
                 found.append(middle)
         return found
 
-    def changes(self, circuit: Circuit, extremes: Sequence[Extremes] | None = None) -> StackedChanges:
+    def changes(self, circuit: Circuit, here: StackedChanges | None = None) -> StackedChanges:
         """The changes of all recordings under a circuit.
 
         Args:
             circuit: Of real numbers.
-            extremes: Where they are in each section, `extremes` of the changes under a circuit close by, whose
-                derivatives do not see the positions move; None: looked for.
+            here: The changes under a circuit close by, for a derivative, which does not see that extremes move.
         """
         if circuit.light_spread:
             raise InputError("light_spread: of pooled recordings only; pixels with addresses have light of their own")
         vector = np.empty(self.layout.size)
-        where = [True] * len(self.evaluators) if extremes is None else extremes
-        circuits, by = self._circuits(circuit)
-        parts = list(zip(circuits, self.evaluators, where, self.layout.per_section(vector), by, strict=True))
-
+        where = [True] * len(self.evaluators) if here is None else here.extremes
+        circuits, clocks = self._circuits(circuit)
+        parts = list(zip(circuits, self.evaluators, where, self.layout.per_section(vector), clocks, strict=True))
         located = self._filled(parts)
-        self._add_gains(vector, circuits, by, located)
-        changes = self.layout.stacked(vector, tuple(located))
+        by_gain = self._add_gains(vector, circuits, clocks, located)
+        changes = self.layout.stacked(vector, tuple(located), by_gain)
         if self.unknown_light is not None:
             self.unknown_light.apply(changes, self.sign)
         if self.shift is not None:
@@ -186,13 +187,11 @@ class EventTimes:
     def changes_of_one(self, circuit: Circuit, here: StackedChanges, recording: int) -> StackedChanges:
         """`here`, but for one recording under another circuit; its extremes where they were."""
         vector = here.vector.copy()
-        circuits, by = self._circuits(circuit)
-        sections = zip(
-            self._recording_of_section, circuits, self.evaluators, here.extremes, self.layout.per_section(vector), by,
-            strict=True,
-        )  # fmt: skip
-        self._filled([tuple(section) for of, *section in sections if of == recording])
-        self._add_gains(vector, circuits, by, here.extremes, recording)
+        circuits, clocks = self._circuits(circuit)
+        rows = self.layout.per_section(vector)
+        mine = [k for k, of in enumerate(self._recording_of_section) if of == recording]
+        self._filled([(circuits[k], self.evaluators[k], here.extremes[k], rows[k], clocks[k]) for k in mine])
+        self._add_gains(vector, circuits, clocks, here.extremes, mine)
         changes = self.layout.stacked(vector)
         if self.unknown_light is not None:
             self.unknown_light.apply(changes, self.sign, self.layout.recording == recording)
@@ -210,26 +209,31 @@ class EventTimes:
         circuits: Sequence[Circuit],
         clocks: Sequence[Clock | None],
         extremes: Sequence[Extremes],
-        recording: int | None = None,
-    ) -> None:
-        """Move changes by what each pixel sees more or less than the light says, to first order; of one recording or
-        all."""
+        sections: Sequence[int] | None = None,
+    ) -> np.ndarray | None:
+        """Move changes, of some sections or all, by what their pixels see more or less than the light says, to first
+        order: as held, or under these circuits.  What was added, of all sections; None in an even field."""
         if self._uneven is None:
-            return
-        there = vector.copy()
-        rows, mine = self.layout.per_section(there), self.layout.per_section(vector)
-        which = [k for k, of in enumerate(self._recording_of_section) if recording is None or of == recording]
-        brighter = [c.with_(light_gain=c.light_gain * (1.0 + BRIGHTER)) for c in circuits]
-        self._filled([(brighter[k], self._brighter[k], extremes[k], rows[k], clocks[k]) for k in which])
-        events, ends = self._uneven
-        of_event, of_end = (
-            np.split(*pair) for pair in ((events, self.layout.event_ends), (ends, self.layout.end_ends))
-        )
+            return None
+        which = range(len(circuits)) if sections is None else sections
+        mine, added = self.layout.per_section(vector), self.by_gain
+        if added is None:
+            there, added = vector.copy(), np.zeros_like(vector)
+            rows, by = self.layout.per_section(there), self.layout.per_section(added)
+            brighter = [c.with_(light_gain=c.light_gain * (1.0 + BRIGHTER)) for c in circuits]
+            self._filled([(brighter[k], self._brighter[k], extremes[k], rows[k], clocks[k]) for k in which])
+            events, ends = self._uneven
+            gains = np.split(events, self.layout.event_ends), np.split(ends, self.layout.end_ends)
+            for k in which:
+                for here, moved, by_gain, gain in zip(mine[k], rows[k], by[k], (gains[0][k], gains[1][k]), strict=True):
+                    with np.errstate(over="ignore", invalid="ignore"):
+                        slope = (moved - here) / BRIGHTER
+                    by_gain[:] = gain * np.nan_to_num(slope, copy=False, posinf=0.0, neginf=0.0)
+        by = self.layout.per_section(added)
         for k in which:
-            for here, moved, gain in zip(mine[k], rows[k], (of_event[k], of_end[k]), strict=True):
-                with np.errstate(over="ignore", invalid="ignore"):
-                    slope = (moved - here) / BRIGHTER
-                here += gain * np.nan_to_num(slope, copy=False, posinf=0.0, neginf=0.0)
+            for here, by_gain in zip(mine[k], by[k], strict=True):
+                here += by_gain
+        return added
 
     def _circuits(self, circuit: Circuit) -> tuple[list[Circuit], list[Clock | None]]:
         """Of every section: the circuit as it was in its recording, and the clock."""
@@ -265,7 +269,7 @@ class EventTimes:
     def released_later(self, circuit: Circuit, here: Terms) -> Terms:
         """The pieces if every pixel were let go `NUDGE_S` later;  here: `terms(circuit)`."""
         later = circuit.with_(refractory=circuit.refractory + NUDGE_S)
-        return self.terms(later, self.changes(later, here.changes.extremes))
+        return self.terms(later, self.changes(later, here.changes))
 
     def log_likelihood(self, circuit: Circuit) -> float:
         """The log-likelihood."""
@@ -275,14 +279,26 @@ class EventTimes:
         """The same likelihood with timestamp noise counted twice: at the event, and at the reset before it.
 
         The time of the reset is as uncertain as that of the event.  With g_k the rate at which level k falls as its
-        release moves, `clock_share` becomes q_k = 1 + (g_k/r_k)² under this circuit, at most `MOST_CLOCK_SHARE`.
+        release moves, `clock_share` becomes q_k = 1 + (g_k/r_k)² under this circuit, at most `MOST_CLOCK_SHARE`.  Gains
+        of pixels are held too.
         """
-        here = self.terms(circuit)
-        there = self.released_later(circuit, here)
+        other = self.with_gains_held(circuit)
+        here = other.terms(circuit)
+        there = other.released_later(circuit, here)
         told = (here.z != 0.0) & (there.z != 0.0)  # a level of 0: the circuit cannot have fired
         moved = np.where(told, there.z - here.z, 0.0) / NUDGE_S
-        other = copy(self)
         other.clock_share = read_only(1.0 + np.minimum((moved / here.event.rate) ** 2, MOST_CLOCK_SHARE - 1.0))
+        return other
+
+    def with_gains_held(self, circuit: Circuit) -> EventTimes:
+        """The same likelihood with what the gains of pixels add to changes as it is under a circuit.
+
+        Under circuits close by it differs to second order, and takes half of the time of each evaluation.
+        """
+        other = copy(self)
+        other.by_gain = None
+        if self.is_uneven:
+            other.by_gain = other.changes(circuit).by_gain
         return other
 
     def with_lights(self, lights: Sequence[Sequence[Stimulus]]) -> EventTimes:

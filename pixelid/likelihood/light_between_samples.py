@@ -17,7 +17,7 @@ c under its density weighted by Y⁺.  With x = m/√B, φ and Φ the normal den
     E[Y⁺] = √B g₁,   E c = a + √B g₂/g₁,   var c = B (g₃/g₁ − (g₂/g₁)²),
     g₁ = x Φ + φ,   g₂ = (x² + 1) Φ + x φ,   g₃ = (x³ + 3x) Φ + (x² + 2) φ:
 
-the light was further at the event than the line says, by `First.shift`.  v and s² are told by events and samples
+the light was further at the event than the line says, by `First.shift`.  v and s² are estimated by events and samples
 together, beforehand (`told`).  How far the line may still be off is `fit/measured_light.py`'s to say.
 """
 
@@ -193,7 +193,7 @@ def told(recording: Recording) -> Told | None:
 
 
 def with_told(recordings: Sequence[Recording]) -> list[Recording]:
-    """The recordings with what all their pixels tell of the light between samples, so that some of them know it too."""
+    """The recordings with what all their pixels show of the light between samples, so that some of them know it too."""
     return [
         r if (found := told(r)) is None else replace(r, attributes={**r.attributes, BETWEEN: found._asdict()})
         for r in recordings

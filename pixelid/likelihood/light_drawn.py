@@ -1,4 +1,4 @@
-"""Light for simulations beside a recording: as it is, or random paths where only samples of it are known."""
+"""Light for simulations of a recording: as it is, or random paths where only samples of it are known."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def light_in_a_row(recording: Recording, light: Light, pixels: np.ndarray, seed:
     """What a sensor of one row sees whose pixels see what `pixels` (n,), flat indices, of the recording see.
 
     Between the samples of a light that the sensor measured itself every pixel has a path of its own: a Brownian bridge
-    of the variance that the recording tells (`light_between_samples.told`).
+    of the variance that the recording shows (`light_between_samples.told`).
     """
     row, found = _uneven(recording, in_a_row(light, pixels), pixels), told(recording)
     if found is None or not isinstance(row, PixelLights):

@@ -11,8 +11,8 @@ with rate r, dead time T (in which the rate may have been another), and s the sc
 each j is follows from how often neighbours among the recorded events are of opposite polarity, as in a Markov chain.
 Where thresholds remember the polarity before, by a share m, z counts in units of that after the last recorded event; it
 is the change here, and m (a C_p + b C_p') is added to its mean, a and b from the orders that the chain makes.
-Up to `MOST_IN_A_ROW` are told apart from background; where j = i the event looks like any other, except that the other
-polarity's threshold was reached.
+Up to `MOST_IN_A_ROW` are distinguished from background; where j = i the event looks like any other, except that the
+other polarity's threshold was reached.
 
 Whether any was lost is decided by the larger density, as for background events: those are the events that can have had
 a lost one before them, and what else they may be competes with it.  So the survival before an event gets f² for the

@@ -1,7 +1,7 @@
 """How much of what events scatter by is shot noise: a Kalman filter of the noise that their levels share.
 
-Threshold noise is drawn anew for each event.  Shot noise n(t), filtered by the stages, is in the level at an event and,
-stored as the reference, in that of the next:
+Threshold noise is drawn independently for each event.  Shot noise n(t), filtered by the stages, is in the level at an
+event and, stored as the reference, in that of the next:
 
     y_k = s_k (z_k − C) = ξ_k − s_k (n(t_k) − n(r_k)),        r_k the end of the dead time after event k − 1
 
@@ -9,7 +9,7 @@ with s_k the polarity and r_k stored at the amplifier's input.  Between events t
 follow the light: n has a state x, propagated exactly over steps of constant light, and the stored value is one more
 component.  Of this linear Gaussian system the filter (Kalman 1960, J. Basic Eng. 82, 35) gives mean and variance of
 each y_k, the events before it given, and so the likelihood of a density and a threshold noise.  Events are taken as
-levels at given times: that a noisy level is met early is left out here, and put right by simulation where it is used.
+levels at given times: that a noisy level is met early is left out here, and corrected by simulation where it is used.
 """
 
 from __future__ import annotations
@@ -140,7 +140,7 @@ def share_out(likelihood: EventTimes, circuit: Circuit, seed: int = 0) -> Divisi
         seed: Of the choice of pixels where all would take too long.
 
     Returns:
-        None where no event tells anything, or the circuit has no pole: white noise has no level there.
+        None where no event shows anything, or the circuit has no pole: white noise has no level there.
     """
     from scipy.optimize import minimize_scalar
 

@@ -26,9 +26,9 @@ def analyse(
 
     Args:
         model: the circuit.
-        recordings: of chirps or steps, to be put beside it.
+        recordings: of chirps or steps, to be put compared with it.
         draws: models drawn from the uncertainty of a fit, for bands.
-        seed: of simulations beside the recordings.
+        seed: of simulations compared with the recordings.
         progress: called with what is done and the fraction.
 
     Raises:

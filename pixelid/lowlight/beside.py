@@ -1,4 +1,4 @@
-"""Measured numbers beside the model's: of each recording, and of the model under the same light."""
+"""Measured numbers and the model's: of each recording, and of the model under the same light."""
 
 from __future__ import annotations
 

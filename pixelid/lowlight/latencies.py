@@ -30,7 +30,7 @@ from pixelid.tables.latency.result import predicted_result
 def latency_analysis(
     source: LatencySource, camera: Camera, drawn: Sequence[Model] = (), seed: int = 0
 ) -> dict[str, Any]:
-    """Measured poles beside the model's, the law of one over the light, and which stage limits where.
+    """Measured poles and the model's, the law of one over the light, and which stage limits where.
 
     Args:
         source: rows of one camera.

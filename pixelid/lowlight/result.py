@@ -47,7 +47,7 @@ class LowlightReport(ContentResult):
         return f"low light of {self.content['model']}: {self.status} in {self.content['seconds']:.1f} s"
 
     def tables(self) -> list[Table]:
-        """Radiance from which the approximations err; what was measured beside the model."""
+        """Radiance from which the approximations err; what was measured, and the model's."""
         unit = self.content["radiance_unit"]
         content = dict(self.content)
         radii = tuple(tuple(row) for row in radii_rows(content))

@@ -33,7 +33,7 @@ def fit_hash(kind: str, model: Model, made_of: object) -> str:
     Args:
         kind: of the result, as "fit".
         model: with the fitted values.
-        made_of: what else tells it from other fits, as JSON.
+        made_of: what else distinguishes it from other fits, as JSON.
     """
     content = json.dumps([kind, model.name, model.values, made_of], sort_keys=True, default=str)
     return hashlib.sha256(content.encode()).hexdigest()[:HASH_DIGITS]

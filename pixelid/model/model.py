@@ -116,7 +116,7 @@ class Model:
 
     @property
     def starts_anew(self) -> tuple[str, ...]:
-        """Names of the parameters that every recording has anew."""
+        """Names of the parameters that every recording has of its own."""
         return tuple(name for effect in self.effects for name in stages.effect(effect).starts_anew)
 
     def knows(self, nuisance: str) -> bool:
@@ -238,7 +238,7 @@ class Model:
 
         They take the place of the shared parameter, which no fit moves any more.  "light_gain", a factor on the
         stimulus, and "threshold_gain", one on both thresholds, are none that a model shares: recordings without one
-        have their light as it is said, and the model's thresholds.
+        have their light as it is stated, and the model's thresholds.
 
         Example:
             >>> import pixelid as px

@@ -21,8 +21,14 @@ def shipped_models() -> dict[str, Path]:
     return {path.stem: path for path in sorted(data_folder("models").glob("*.toml"))}
 
 
+def shipped_bias_laws(name: str | Path) -> Path | None:
+    """The file of the laws of bias codes that come with a shipped circuit; None where none do."""
+    path = data_folder("models") / "biases" / f"{name}.toml"
+    return path if str(name) in shipped_models() and path.is_file() else None
+
+
 def model_files(spec: str | Path) -> list[Path]:
-    """The files that `find_model(spec)` may have read, besides shipped ones."""
+    """The files that `find_model(spec)` may have read, in addition to shipped ones."""
     return [Path(spec), Path(spec) / "fit.json", Path(spec) / "model.toml"]
 
 

@@ -23,7 +23,7 @@ LEAST_SIDE = 384  # screen pixels of a picture's longer side; smaller views are 
 
 @dataclass(frozen=True)
 class Beside:
-    """Another reconstruction of the same data, to be shown beside one.
+    """Another reconstruction of the same data, to be shown next to one.
 
     Attributes:
         scene: The other.

@@ -134,7 +134,7 @@ class Bricks:
         return dense
 
     def around(self, occupied: np.ndarray) -> np.ndarray:
-        """(b, b, b) which bricks are those of an occupied block of cells, or lie beside one."""
+        """(b, b, b) which bricks are those of an occupied block of cells, or lie next to one."""
         wide = np.zeros(self.index.shape, np.uint8)
         wide[tuple(slice(0, k) for k in occupied.shape)] = occupied
         return maximum_filter(wide, size=3, mode="constant") > 0

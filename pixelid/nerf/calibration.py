@@ -176,7 +176,7 @@ def of_fit(calibration: Calibration, folder: Path, scale: float | None = None) -
         The calibration with another circuit, and another black level where the fit has one.
 
     Raises:
-        InputError: no fit there, one without thresholds, a scale that is not above 0, or none when neither tells.
+        InputError: no fit there, one without thresholds, a scale that is not above 0, or none when neither states it.
     """
     scale = None if scale is None else number("radiance_scale", scale, above=0.0)
     folder = Path(folder)
@@ -242,7 +242,7 @@ def _of_mean_and_ratio(content: Mapping[str, Any], on_sd: float, off_sd: float) 
 
 
 def unexplained_by(folder: Path | None) -> tuple[str, ...]:
-    """What a search for the gap found and could not name or tell apart, in words; nothing for a fit or a model file."""
+    """What a search for the gap found and could not name or distinguish, in words; nothing for other folders."""
     file = Path(folder) / "gap.json" if folder is not None else None
     if file is None or not file.is_file():
         return ()

@@ -125,7 +125,7 @@ def _bricks(document: dict, field: Field) -> Bricks:
 
 
 def search_file(checkpoint: Path) -> Path:
-    """Where the outcome of a search for effects is kept, beside a checkpoint."""
+    """Where the outcome of a search for effects is kept, next to a checkpoint."""
     return checkpoint.with_name(f"{checkpoint.name}.gap.json")
 
 

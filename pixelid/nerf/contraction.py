@@ -18,7 +18,7 @@ A ray is marched by a length τ of which a step of the march is one cell.  Withi
 
 A ray that misses the inner box has t_in = t_out where it comes closest to its middle; with n there (1 for a ray that
 hits it), g = n²/(2n − 1) is how wide a cell is there, and V g = 2 R n, R the half side, lets steps grow half as fast as
-cells do outwards, since a ray that leaves beside a corner passes by cells first.  No step is longer than 2.5 cells.
+cells do outwards, since a ray that leaves next to a corner passes by cells first.  No step is longer than 2.5 cells.
 
 This module alone knows the map: scalars for the compiled renderer, arrays for tensors and for what shows a scene.
 """

@@ -1,4 +1,4 @@
-"""Predictions are known up to a translated gamma; views tell which: image ≈ exposure · (a L^b − c), per colour.
+"""Predictions are known up to a translated gamma; views show which: image ≈ exposure · (a L^b − c), per colour.
 
 a and b start from the log-affine fit (c = 0); then at most 20 steps of Levenberg–Marquardt in a trust region
 (`scipy.optimize.least_squares`, method "trf").  Source: Low & Lee, arXiv 2409.17988, supplement.

@@ -89,7 +89,7 @@ def read_dataset(path: Path) -> Dataset:
 def evaluation_views(dataset: Dataset) -> tuple[Views, Views]:
     """The views that fix the correction and those that are scored, apart from each other.
 
-    Test views are scored and validation views correct them; a missing stage is stood in for by the next, a single one
+    Test views are scored and validation views correct them; a missing stage is replaced by the next, a single one
     is halved.  One picture alone is not scored; a dataset without views has none of either.
 
     Args:

@@ -36,7 +36,8 @@ class Field(torch.nn.Module):
     log radiance depends on the direction, 0 to 2;  near: distance from the camera before which rays meet nothing;
     unbounded: whether the corners are those of the inner box, beyond which space is contracted (`contraction`)
 
-    bricks: where the rows are;  grid: (rows, 1 + C);  coefficients: (rows, C, K) of the harmonics beside the constant
+    bricks: where the rows are;  grid: (rows, 1 + C);  coefficients: (rows, C, K) of the harmonics in addition to the
+        constant
     """
 
     def __init__(
@@ -103,7 +104,7 @@ class Field(torch.nn.Module):
         return all(bool(torch.isfinite(held).all()) for held in (self.grid, self.coefficients, self.log_background))
 
     def box(self) -> Box:
-        """What the renderer needs beside the grid."""
+        """What the renderer needs in addition to the grid."""
         return Box(self.low, self.high, self.step, self.occupied, self.bricks, self.near, self.unbounded)
 
     def forward(self, rays: Rays, engine: str = "auto") -> tuple[torch.Tensor, torch.Tensor]:
@@ -206,7 +207,7 @@ class Field(torch.nn.Module):
         return rows
 
     def _colour_beside(self, new: np.ndarray) -> np.ndarray:
-        """(k, C) mean log radiance of the bricks that are there beside new ones (b, b, b)."""
+        """(k, C) mean log radiance of the bricks that are there in addition to new ones (b, b, b)."""
         means = self.grid.detach().cpu().numpy()[:, 1:].reshape(-1, ROWS, self.grid.shape[1] - 1).mean(axis=1)
         around, at = np.pad(self.bricks.index, 1), np.argwhere(new)
         beside = np.stack([around[tuple((at + shift).T)] for shift in np.ndindex(3, 3, 3)])  # (27, k)

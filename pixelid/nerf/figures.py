@@ -85,7 +85,7 @@ COVARIATES = {
 }
 
 
-BOTH = (("before", "pixel as told"), ("after", "with what was found"))
+BOTH = (("before", "stated pixel"), ("after", "with what was found"))
 
 
 @styled

@@ -46,7 +46,7 @@ def most_gained(looks: np.ndarray, ahead: float, alpha: float) -> float:
         alpha: chance of a larger gain.
 
     Returns:
-        The share; infinite where two looks or one pixel tell no error.
+        The share; infinite where two looks or one pixel show no error.
     """
     m, n = looks.shape
     total = float(looks[-1].sum())

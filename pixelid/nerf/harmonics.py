@@ -20,7 +20,7 @@ _FIRST, _MIXED, _POLAR = math.sqrt(3.0), math.sqrt(15.0), 0.5 * math.sqrt(5.0)
 
 
 def number_of(degree: int) -> int:
-    """How many harmonics there are up to a degree, beside the constant."""
+    """How many harmonics there are up to a degree, in addition to the constant."""
     return (degree + 1) ** 2 - 1
 
 

@@ -1,7 +1,7 @@
 """Training whose regularisation, length and outcome are chosen by events of pixels that it has not seen.
 
 Those events choose nothing but one factor of the regularisation and one of some states, so what `held_out_residual`
-owes to the choice is below what tells two states apart (`stopping`).
+owes to the choice is below what separates two states (`stopping`).
 """
 
 from __future__ import annotations

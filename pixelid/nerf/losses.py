@@ -120,7 +120,7 @@ def huber(x: torch.Tensor) -> torch.Tensor:
 def variance_left(
     change: torch.Tensor, chains: Chains, on_threshold: torch.Tensor, off_threshold: torch.Tensor
 ) -> float:
-    """The variance [thresholds²] of Gaussian changes that would tell as much of a threshold as ℓ_diff does.
+    """The variance [thresholds²] of Gaussian changes that would show as much of a threshold as ℓ_diff does.
 
     E ψ²/E ψ' of Huber's estimate, ψ its slope: what a prior weighs against.  Early in training, when the scene explains
     little, it is above 1 and thresholds of single pixels wait; then it falls with what is left.

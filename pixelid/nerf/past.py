@@ -2,7 +2,7 @@
 
 Samples of the past are spread over the memory of the slowest pole (`intervals`), far longer in the dark than in light.
 Where light is bright and the camera slow, the image hardly moves while a pixel remembers: samples from before that
-tell nothing, and those within it show nearly the same.  The light that the scene shows at both ends of a stretch says
+show nothing, and those within it show nearly the same.  The light that the scene shows at both ends of a stretch says
 how slow the pixel was there, and the speed of the image how finely its past must be sampled.
 
 Where even a bright pixel needs all samples, nothing is asked of the scene, and memory is that of the darkest light.

@@ -161,7 +161,7 @@ class Pixel(torch.nn.Module):
 
     @property
     def growth(self) -> torch.Tensor:
-        """By how much the mean threshold has been trained to be larger than told."""
+        """By how much the mean threshold has been trained to be larger than stated."""
         return self._scale[4] * torch.exp(-self.told[4])
 
     def thresholds_at(self, pixels: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
@@ -203,7 +203,7 @@ class Pixel(torch.nn.Module):
             self.added.clamp_(min=torch.tensor(least, dtype=torch.float64, device=self.added.device) / self.steps)
 
     def thresholds_from_told(self) -> dict[str, float]:
-        """By how many standard deviations trained mean and ratio have left what `Bandwidth.prior_sd` tells of them."""
+        """By how many standard deviations trained mean and ratio have left what `Bandwidth.prior_sd` states."""
         far = dict(zip(FACTORS, self._far.detach().tolist(), strict=True))
         return {name: far[name] for name in ("threshold", "ratio") if name in (self.bandwidth.prior_sd or {})}
 
@@ -218,7 +218,7 @@ class Pixel(torch.nn.Module):
 
     @property
     def moved(self) -> torch.Tensor:
-        """(6,) logs by which `FACTORS` have left what was told."""
+        """(6,) logs by which `FACTORS` have left what was stated."""
         return (self.moves * self.factors - self.told).detach()
 
     @overload

@@ -1,7 +1,7 @@
 """What differs from pixel to pixel: thresholds and bandwidth of a mapped sensor, and pixels that are hot.
 
 Without a map a pixel's thresholds are known to the camera's mismatch only.  They are then trained with the scene, each
-under that prior: a pixel whose ON threshold is 10 % too low tells of a light that brightens on and on, and a scene
+under that prior: a pixel whose ON threshold is 10 % too low implies a light that brightens on and on, and a scene
 that has to explain it is blurred and full of grain.
 """
 

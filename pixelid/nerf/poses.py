@@ -4,7 +4,7 @@
 
 τ is one number.  The correction is a shift of the camera and a rotation about it, as a vector in the scene's axes, both
 linear in time between knots.  Their means over the knots are held at zero: what cameras and scene have in common, no
-event tells.  The prior of τ, and of every knot's numbers, is a normal one about zero.
+event shows.  The prior of τ, and of every knot's numbers, is a normal one about zero.
 """
 
 from __future__ import annotations

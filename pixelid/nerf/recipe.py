@@ -153,7 +153,7 @@ class Recipe:
         return dataclasses.replace(self, batch=batch, iterations=steps)
 
     def as_dict(self) -> dict[str, Any]:
-        """What reconstruction.json says of it; steps and seed are told elsewhere."""
+        """What reconstruction.json says of it; steps and seed are stated elsewhere."""
         content = {name: value for name, value in dataclasses.asdict(self).items() if name not in ELSEWHERE}
         return content | {"vertices": list(self.vertices), "weights": self.weights._asdict()}
 

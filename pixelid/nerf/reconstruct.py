@@ -209,9 +209,9 @@ def reconstruct(
         box: corners of the scene, x0 y0 z0 x1 y1 z1; by default a cube where the camera looks.
         near: distance from the camera before which nothing is, in the unit of the poses.
         radiance_scale: the fit's radiance units per unit of the views.
-        protocol: of the scores: "strict", or "paper" for those of the reference implementation beside them.
+        protocol: of the scores: "strict", or "paper" for those of the reference implementation with them.
         gap: look in the events for effects that the pixel lacks, and train with those found (`search`).
-        beside: folder of another reconstruction of the dataset, shown beside this one.
+        beside: folder of another reconstruction of the dataset, shown with this one.
         resume: a checkpoint, continued when it exists and written as training goes on.
         preview: a PNG of the scene, replaced as training goes on.
         overwrite: whether the preview may replace another picture.
@@ -237,7 +237,7 @@ def reconstruct(
     if device == "cuda" and not torch.cuda.is_available():
         raise InputError("--device cuda: no CUDA device is available")
     if radiance_scale is not None and fit is None:
-        raise InputError("--radiance-scale: says how the unit of --fit is that of the views; expected --fit beside it")
+        raise InputError("--radiance-scale: relates the unit of --fit to that of the views; needs --fit")
     if calibration is None:
         calibration = of_fit(dataset.calibration, fit, radiance_scale) if fit else dataset.calibration
     if bandwidth.mode != "off" and not calibration.known:
@@ -375,26 +375,26 @@ def _verdict(
         )
     if held_out > LEARNED:
         return Status.misfit, (
-            f"what events of held-out pixels tell is missed by {held_out:.2f} of its size (1 would be no scene): "
+            f"{held_out:.2f} of what events of held-out pixels show is unexplained (1 would be no scene): "
             "check poses, polarity, thresholds and --box, or train longer"
         )
     gone = {name: z for name, z in far.items() if abs(z) > MOST_FAR}
     if gone:
         went = ", ".join(f"{name} {z:+.0f}" for name, z in gone.items())
         return Status.misfit, (
-            f"trained thresholds contradict the fit: {went} of its standard deviations away, for events hardly tell "
+            f"trained thresholds contradict the fit: {went} of its standard deviations away: events hardly separate "
             "them from the scene's contrast; leave --train threshold and ratio out, or check --fit"
         )
     if unidentified:
         return Status.not_identified, (
-            "the events do not tell all that was trained (see unidentified): leave it out; an offset between clocks "
-            "needs a camera whose speed changes, a mean threshold a fit"
+            "the events do not identify all that was trained (see unidentified): leave it out; an offset between "
+            "clocks needs a camera whose speed changes, a mean threshold a fit"
         )
     return Status.converged, ""
 
 
 def _left_open(problem: Problem, state: State) -> list[str]:
-    """What was trained and the events do not tell, in words: what hides in the scene."""
+    """What was trained and the events do not identify, in words: what hides in the scene."""
     told_s, shows_s = state.poses.refinement.time_sd, problem.time_resolution_s
     open_ = []
     if state.poses.offset.requires_grad and shows_s >= told_s:
@@ -406,8 +406,8 @@ def _left_open(problem: Problem, state: State) -> list[str]:
     pixel = state.pixel
     if pixel.trains("threshold") and "threshold" not in (pixel.bandwidth.prior_sd or {}):
         open_.append(
-            f"mean threshold: {float(pixel.growth.detach()):.3g} times what was told; a larger one, with a scene of as "
-            "much more contrast, makes the same events, so the scene holds up to an exponent"
+            f"mean threshold: {float(pixel.growth.detach()):.3g} times the stated one; a larger one, with a scene of "
+            "as much more contrast, makes the same events, so the scene holds up to an exponent"
         )
     return open_
 

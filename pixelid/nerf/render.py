@@ -114,7 +114,7 @@ class _Compiled(torch.autograd.Function):
 
 
 def _side_by_side(grid: torch.Tensor, coefficients: torch.Tensor) -> tuple[np.ndarray, np.ndarray]:
-    """(log densities (rows,), log radiance of every colour beside its harmonics (rows, C, 1 + K))."""
+    """(log densities (rows,), log radiance of every colour and of its harmonics (rows, C, 1 + K))."""
     looks = torch.cat([grid.detach()[:, 1:, None], coefficients.detach()], dim=2)
     return grid.detach()[:, 0].contiguous().numpy(), looks.numpy()
 

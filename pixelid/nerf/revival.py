@@ -6,7 +6,7 @@ collects behind and g = ∂ℓ/∂L, the gradients by a brick's logs are
 
     ∂ℓ/∂ln σ = Σ hσ g (T c₀ − R) = S        ∂ℓ/∂ln c = Σ hσ g T c₀ = V
 
-and tell what the loss would do with haze of any other radiance c there: Σ hσ g (T c − R) = S + (c/c₀ − 1) V, least at
+and show what the loss would do with haze of any other radiance c there: Σ hσ g (T c − R) = S + (c/c₀ − 1) V, least at
 the darkest or the brightest that there may be, by the sign of V.  As the best of two it would be negative for a brick
 that nobody asks for, too; so c is chosen on some batches and judged on another, and only bricks that all of `PARTS`
 ask for come back.  Chance does as well in 2^−PARTS of them: those clear again, and are given up when bricks follow

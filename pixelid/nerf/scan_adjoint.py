@@ -7,7 +7,7 @@ g = E S, and
 
     ∂C/∂D = τ S/2,     ∂S/∂D = (τ C − S)/(2 D),     a series in D τ² where that cancels.
 
-Two real poles are differentiated one by one instead, which keeps the digits of the slow one beside a much faster one.
+Two real poles are differentiated one by one instead, which keeps the digits of the slow one next to a much faster one.
 Checked against matrix exponentials (tests/unit/test_nerf_adjoint.py).
 """
 

@@ -1,10 +1,10 @@
 """The gap in the scene itself: what the pixel lacks, found in what a scene leaves unexplained of held-out events.
 
-A scene is trained coarsely under the pixel as it is told.  Every candidate is then added, at a strength that the
+A scene is trained coarsely under the pixel as it is stated.  Every candidate is then added, at a strength that the
 residuals suggest, and trained on together with the scene for some steps; so is the pixel without it.  A scene bends to
 what its pixel lacks (a leak becomes light that brightens on and on), so residuals of one scene under two pixels would
 hide most of it; two scenes, each trained under its own pixel, do not.  What explains events of held-out pixels best is
-kept, if chance would not do as well, and the search goes on beside it.  Views are never asked.
+kept, if chance would not do as well, and the search goes on with it.  Views are never asked.
 """
 
 from __future__ import annotations
@@ -129,7 +129,7 @@ def search(
         progress: called with what is done and the fraction.
 
     Returns:
-        The pixel with what was found, and all else as it was told.
+        The pixel with what was found, and all else as it was stated.
     """
     warm, steps = (max(round(share * recipe.iterations), 1) for share in (WARM, TRIAL))
     problem = make(calibration, bandwidth.moving)
@@ -182,7 +182,7 @@ def search(
 
 
 def hot_pixels(problem: Problem) -> dict[str, Any] | None:
-    """An entry of "effects" in "gap" of reconstruction.json: pixels left out that the circuit does not tell of.
+    """An entry of "effects" in "gap" of reconstruction.json: pixels left out that the circuit does not contain.
 
     Their events speak for themselves; no scene is trained with them, so nothing is judged on held-out events.
     """
@@ -206,9 +206,9 @@ def _map(before: Rows, after: Rows) -> Mapping[str, Any]:
 
 @dataclass(frozen=True)
 class _Place:
-    """Where a search is: a pixel, what of it is trained beyond the told, and a scene trained under it.
+    """Where a search is: a pixel, what of it is trained beyond the stated, and a scene trained under it.
 
-    moved: (6,) logs by which training has moved `pixel.FACTORS` from what was told, where their priors stay
+    moved: (6,) logs by which training has moved `pixel.FACTORS` from what was stated, where their priors stay
     """
 
     calibration: Calibration
@@ -239,7 +239,7 @@ class _Bench:
     ) -> tuple[tuple[Trial, ...], tuple[_Place, ...], _Place]:  # fmt: skip
         """(trials, where they ended, where the scene without any of them ended).
 
-        With and without a candidate, strengths of what was kept before begin anew: else a neighbour of an effect
+        With and without a candidate, strengths of what was kept before begin again: else a neighbour of an effect
         would be named for what the effect itself has not yet got back from the scene.
         """
         suggested, every = self._suggested(here)
@@ -369,10 +369,10 @@ def with_trained_values(calibration: Calibration, pixel: Pixel, problem: Problem
 
 
 def _with_named(told: Calibration, found: Calibration, names: Sequence[str]) -> Calibration:
-    """The pixel as told, with what was named as found.
+    """The pixel as stated, with what was named as found.
 
-    What else the search has trained (`--bandwidth joint`, `--train`) stays as told: its priors lie there, and the
-    training that follows counts the events anew.  So do thresholds beside a drift, which are those it begins from; the
+    What else the search has trained (`--bandwidth joint`, `--train`) stays as stated: its priors lie there, and the
+    training that follows counts the events again.  So do thresholds with a drift, which are those it begins from; the
     search has held their mean over the events.  A leak stays in thresholds per second, which events show.
     """
     moved: dict[str, float] = {}
@@ -394,9 +394,9 @@ def _same_leak(circuit: Circuit, factor: float) -> Circuit:
 
 
 def _candidates(calibration: Calibration, bandwidth: Bandwidth, mapped: bool, shortest: float) -> tuple[str, ...]:
-    """Names of what is tried: `ADDITIONS`, mismatch, and a filter slower or faster than told.
+    """Names of what is tried: `ADDITIONS`, mismatch, and a filter slower or faster than stated.
 
-    A dead time is tried only where the shortest interval leaves room for a longer one than is told.
+    A dead time is tried only where the shortest interval leaves room for a longer one than is stated.
     """
     circuit = calibration.circuit
     names = [name for name in SEARCHED if name not in bandwidth.moving]
@@ -417,14 +417,14 @@ def _trained_by(name: str, calibration: Calibration) -> tuple[str, ...]:
 
 
 def _cutoffs(circuit: Circuit) -> tuple[str, ...]:
-    """Fields of a circuit that a filter slower or faster than told moves; of one pole α is its corner."""
+    """Fields of a circuit that a filter slower or faster than stated moves; of one pole α is its corner."""
     one = circuit.photoreceptor == "one_pole"
     has = filter_parameters(circuit)
     return tuple("corner" if one and part == "alpha" else part for part in BANDWIDTH_FACTORS if part in has)
 
 
 def _renewed(here: _Place, suggested: Suggested, problem: Problem, name: str = "", at_rest: bool = True) -> _Place:
-    """Where strengths of what was kept begin anew, beside a candidate or alone; once it has settled (`at_rest`) only
+    """Where strengths of what was kept begin again, with a candidate or alone; once it has settled (`at_rest`) only
     those of `RENEWED_UNTIL_AT_REST`."""
     new = _trained_by(name, here.calibration)
     kept = (k for k in here.trained if k in RENEWED_UNTIL_AT_REST or not at_rest)

@@ -170,7 +170,7 @@ def take(state: State, bricks: Bricks, values: Mapping[str, Any]) -> None:
 
 
 def _beside_rows(state: State) -> dict[str, torch.Tensor]:
-    """What training moves beside the rows of the field."""
+    """What training moves in addition to the rows of the field."""
     return {
         "log_background": state.field.log_background, "factors": state.pixel.factors, "added": state.pixel.added,
         "departures": state.pixel.departures, "offset": state.poses.offset, "moved": state.poses.moved,

@@ -9,7 +9,7 @@ kept     The last state that is not demonstrably worse than the best one: the be
          decay of the learning rate has less of the noise of its steps, so that a tie is the later one's.
 stopped  A line through the last `WINDOW` looks goes on as far as looks are left, at the upper limit of its slope at
          confidence 1 − `ALPHA` (`gain.most_gained`).  As the learning rate falls looks win less and less, so that is
-         the most they can win.  Below `LEAST_SHARE`, nothing is left to win.  Looks less than `APART` steps apart tell
+         the most they can win.  Below `LEAST_SHARE`, nothing is left to win.  Looks less than `APART` steps apart show
          nothing of that: Adam's second moments remember 100 steps (β₂ = 0.99), and over less than that the loss may
          rise on its way down.
 """

@@ -5,7 +5,7 @@ falls is beyond a field whose cells are pixels, and losses of single differences
 its contrast: the many events inside are missed either way, and the one long interval after them by less.  So events
 with less than `shortest` between them are merged into a burst, whose ends lie half of that away in the quiet before
 and after.  Of the quiet interval's own threshold the burst takes what the light moves by in that half at the
-interval's mean slope or at the burst's own, whichever is more: beside a flat surface all of it is crossed at the edge.
+interval's mean slope or at the burst's own, whichever is more: next to a flat surface all of it is crossed at the edge.
 After its last event an edge goes on until some time before the next one would have come, on average half of it: what of
 that is past the dead time is put there, and taken from the interval after if an event of the other polarity follows.
 The light's change over a burst is the sum of all that and of what happened within dead times, when the pixel did not
@@ -19,7 +19,7 @@ edge goes on as above.
 A leak moves the level in the quiet, too, but not by its length times the leak: light that changed as well is what kept
 a long quiet from ending before.  Where the true light is known, the level before a burst hardly depends on how long a
 pixel leaked (0.3 to 0.5 thresholds after 2 to 40 ms at 40 Hz in a textured scene), so the shares do not ask for it;
-reckoned with all of the leak, bursts of ON events told 0.1 to 0.3 thresholds too little.
+reckoned with all of the leak, bursts of ON events had 0.1 to 0.3 thresholds too little.
 
 Events that stand alone stay as they are: intervals from the end of a dead time to the next event.
 """

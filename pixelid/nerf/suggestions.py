@@ -21,7 +21,7 @@ SCREENED = 512  # chains that suggest strengths
 class Suggested:
     """What residuals of training chains say of strengths, the scene held.
 
-    slopes: (rows,) of each of `ADDITIONS`, in standard deviations per unit of its strength, beside a factor of all
+    slopes: (rows,) of each of `ADDITIONS`, in standard deviations per unit of its strength, with a factor of all
     thresholds;  rest: (rows,) what is left unexplained, in standard deviations
     """
 
@@ -44,7 +44,7 @@ class Suggested:
 def suggestions(problem: Problem, state: State) -> Suggested:
     """How `ADDITIONS` would best move to explain residuals of training chains, the scene held.
 
-    One step of Gauss and Newton under Huber's weights, beside a factor of all thresholds: the contrast that a scene
+    One step of Gauss and Newton under Huber's weights, with a factor of all thresholds: the contrast that a scene
     still lacks must not pass for an effect.  The scene has taken a part of every effect upon itself, so the strengths
     are too small.
 

@@ -7,6 +7,7 @@ them, as long as they are one camera.  Their pixel centres are at half coordinat
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,8 @@ KEYS = (
     "camera_angle_x", "camera_angle_y", "fl_x", "fl_y", "cx", "cy", "w", "h", "camera_model", "is_fisheye",
     "intrinsics",
 )  # fmt: skip
+# Names of what a camera does to its pictures, of which those that are not read would be lost in silence.
+OF_CAMERA = re.compile(r"[kps]\d|omega|distort.*|ftheta.*|.*rolling_shutter.*|skew|fl_.|focal.*|.*fisheye.*|lens.*|xi")
 MOST_ASPECT, MOST_FOCAL = 0.02, 0.01  # relative, of what two statements of one camera may differ by
 
 
@@ -62,6 +65,7 @@ def camera_of_document(file: Path, document: dict, width: int, height: int) -> C
         InputError: it states none, one that is not read, or one of pictures of another shape.
     """
     refuse_several_cameras(file, document)
+    _refuse_unread(file, document)
     stated = _stated(document)
     if "intrinsics" in stated:
         return Camera(intrinsics_of(file, stated["intrinsics"]), width, height, np.empty(0))
@@ -73,12 +77,27 @@ def camera_of_document(file: Path, document: dict, width: int, height: int) -> C
     fl_x = _number(file, stated, "fl_x", least=0)
     fl_y = _number(file, stated, "fl_y", fl_x, least=0)
     cx, cy = _number(file, stated, "cx", wide / 2), _number(file, stated, "cy", high / 2)
-    _refuse_other_angle(file, stated, wide, fl_x)
+    _refuse_other_angle(file, stated, "camera_angle_x", wide, fl_x)
+    _refuse_other_angle(file, stated, "camera_angle_y", high, fl_y)
     model, distortion = _lens(file, stated)
     intrinsics = np.array([[fl_x, 0, cx - 0.5], [0, fl_y, cy - 0.5], [0, 0, 1]])
     camera = Camera(intrinsics, wide, high, distortion, model)
     refuse_lens_without_inverse(file, "k1, k2, …", camera)
     return camera if (wide, high) == (width, height) else camera.resized(width, height)
+
+
+def _refuse_unread(file: Path, document: dict) -> None:
+    """Raise InputError for what a document states of its lens under names that are not read."""
+    frames = document.get("frames")
+    first = frames[0] if isinstance(frames, list) and frames and isinstance(frames[0], dict) else {}
+    for key, value in (document | first).items():
+        used = np.any(np.asarray(value, np.float64)) if _is_numbers(value) else bool(value)
+        if used and key not in (*KEYS, *LENS) and OF_CAMERA.fullmatch(key):
+            raise InputError(f"{file}: {shown(key)}: not read: remove it, or state fl_x, fl_y, cx, cy, k1, …")
+
+
+def _is_numbers(value: object) -> bool:
+    return is_number(value) or (isinstance(value, list) and all(map(is_number, value)))
 
 
 def _stated(document: dict) -> dict[str, Any]:
@@ -110,32 +129,39 @@ def _by_angle(file: Path, stated: dict, width: int, height: int) -> Camera:
         raise InputError(f"{file}: {key}: expected an angle between 0 and π, found {shown(angle)}")
     _lens_of_angle(file, stated)
     if key == "camera_angle_x":
+        _refuse_other_angle(file, stated, "camera_angle_y", height, width / 2 / np.tan(angle / 2))
         return pinhole(width, height, angle)
     return pinhole(width, height, 2 * np.arctan(width / height * np.tan(angle / 2)))
 
 
 def _lens_of_angle(file: Path, stated: dict) -> None:
-    """Raise InputError for a lens beside a bare angle: without a focal length its coefficients mean nothing certain."""
+    """Raise InputError for a lens with a bare angle: without a focal length its coefficients mean nothing certain."""
     used = [key for key in (*LENS, "cx", "cy") if stated.get(key)]
     if used or stated.get("is_fisheye"):
-        raise InputError(f"{file}: {(used or ['is_fisheye'])[0]}: is read beside fl_x only; add fl_x, fl_y, w and h")
+        raise InputError(f"{file}: {(used or ['is_fisheye'])[0]}: is read with fl_x only; add fl_x, fl_y, w and h")
 
 
-def _refuse_other_angle(file: Path, stated: dict, width: int, focal: float) -> None:
-    angle = stated.get("camera_angle_x")
-    if is_number(angle) and 0 < angle < np.pi and abs(focal / (width / 2 / np.tan(angle / 2)) - 1) > MOST_FOCAL:
+def _refuse_other_angle(file: Path, stated: dict, key: str, pixels: int, focal: float) -> None:
+    """Raise InputError where an angle of view and a focal length of as many pixels disagree."""
+    angle = stated.get(key)
+    if is_number(angle) and 0 < angle < np.pi and abs(focal / (pixels / 2 / np.tan(angle / 2)) - 1) > MOST_FOCAL:
         raise InputError(
-            f"{file}: fl_x {focal:g} and camera_angle_x {angle:g} disagree for {width} columns; leave one of them out"
+            f"{file}: {key} {angle:g} and a focal length of {focal:g} pixels disagree over {pixels} pixels; leave one "
+            "of them out"
         )
 
 
 def _lens(file: Path, stated: dict) -> tuple[str, np.ndarray]:
     """The kind of distortion and its coefficients; none of a plane camera."""
     model = stated.get("camera_model", "")
+    model = model.upper() if isinstance(model, str) else model
     known = (*PLANE, *PLUMB_BOB, *FISHEYE)
     if not isinstance(model, str) or model not in known:
         raise InputError(f"{file}: camera_model: expected one of {', '.join(known[1:])}, found {shown(model)}")
     values = {key: _number(file, stated, key, 0.0) for key in LENS}
+    bent = next((key for key, value in values.items() if value), None)
+    if model in ("PINHOLE", "SIMPLE_PINHOLE") and bent is not None:
+        raise InputError(f"{file}: {bent}: camera_model {model} has no lens; state another model, or remove it")
     fisheye = model in FISHEYE or stated.get("is_fisheye") is True
     read = ("k1", "k2", "k3", "k4") if fisheye else ("k1", "k2", "p1", "p2", "k3")
     unread = [key for key, value in values.items() if value and key not in read]

@@ -19,6 +19,7 @@ from pixelid.documents import interpreting, read_json
 from pixelid.errors import InputError, shown
 from pixelid.nerf.arrays import read_arrays, rotations, scalar
 from pixelid.nerf.camera import Camera
+from pixelid.nerf.colmap import read_transforms
 from pixelid.nerf.view_cameras import camera_of_document, refuse_several_cameras
 from pixelid.recordings.pictures import read_picture
 
@@ -81,7 +82,7 @@ class ViewsFile:
     """Views of one `transforms_*.json`, as `read_views` has them, read one at a time: memory does not grow with them.
 
     file: of the poses;  document: its content;  channels: colours;  log_eps: of `Views`;  first: a picture of the size
-    and type that all have;  usual: mean exposure over all stages beside the file;  peak, span: of `Views`, of all
+    and type that all have;  usual: mean exposure over all stages next to the file;  peak, span: of `Views`, of all
     pictures of the file
     """
 
@@ -102,7 +103,7 @@ class ViewsFile:
             file: of the poses.
             channels: colours, 1 or 3.
             dataset: folder that they are of; by default the one that holds the folder of the file, if it is one.
-            log_eps: what is added to pictures where no data set says it: beside views that several data sets share
+            log_eps: what is added to pictures where no data set says it: with views that several data sets share
                 there is none.
 
         Returns:
@@ -112,7 +113,7 @@ class ViewsFile:
             InputError: the first picture, or one whose value is asked for, is missing or cannot be read.
         """
         file = Path(file)
-        document = read_json(file)
+        document = read_transforms(file)
         renderer = (file.resolve().parent.parent if dataset is None else Path(dataset)) / RENDERER
         if dataset is not None or renderer.is_file():
             log_eps = _log_eps(renderer)

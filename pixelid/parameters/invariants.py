@@ -1,4 +1,4 @@
-"""Physical circuit values and the three invariants that events can tell (docs/model.md, "Invariants").
+"""Physical circuit values and the three invariants that events can identify (docs/model.md, "Invariants").
 
 With q = q_in + q_mil and the radiance scale s (physical radiance per recorded unit),
 

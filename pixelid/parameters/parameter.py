@@ -140,7 +140,7 @@ class Parameter:
         return self.lower, self.upper
 
     def at(self, value: float) -> Parameter:
-        """The same parameter at another value, of which nothing is said where it comes from."""
+        """The same parameter at another value, of which nothing is stated where it comes from."""
         return self if value == self.value else replace(self, value=float(value), source="")
 
     def within(self, value: float) -> float:

@@ -1,4 +1,4 @@
-"""Recordings: events beside the stimulus that caused them, read from any camera's file."""
+"""Recordings: events with the stimulus that caused them, read from any camera's file."""
 
 from pixelid.recordings.events import Events
 from pixelid.recordings.reading import open_recording, open_recordings

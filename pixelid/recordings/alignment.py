@@ -114,7 +114,7 @@ def known_alignment(offset_s: float, method: str, prior: ClockPrior, light: Ligh
 
 
 def aligned(recording: Recording, light: Light, alignment: Alignment) -> Recording:
-    """The recording with time zero at the light's first sample, the light on the camera's clock beside it.
+    """The recording with time zero at the light's first sample, the light on the camera's clock with it.
 
     Events move by whole nanoseconds, so that their ticks stay; what lies outside the light is left out.
     Raises InputError when nothing lies inside.

@@ -8,7 +8,7 @@ difference of the clocks' rates, is a Gaussian whose two numbers are independent
     auto        the delay not at all
     inherited   1 ms: a light that does not change, or no events
 
-and the rate as well as clocks are known to agree, unless they are said to be one.  `auto` says nothing of what it has
+and the rate as well as clocks are known to agree, unless they are stated to be one.  `auto` says nothing of what it has
 found: it has found it among the same events, and a fit that took its interval for a prior would count them twice.  For
 the same reason a second trigger edge, which is as easily misplaced as the first, does not count as the rate.
 """
@@ -117,7 +117,7 @@ class Alignment:
     prior: of the clock without the events, at a moment of the light's clock; None: offset and rate count as exact
     start_s, start_half_s: the light's first sample on the camera's clock, and half its 95 % interval: far from the time
         zero of a trace that began long before, the rate's uncertainty has not added up
-    note: what has to be said beside it
+    note: what has to be stated with it
     """
 
     offset_s: float

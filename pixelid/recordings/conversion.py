@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from pixelid.errors import InputError
-from pixelid.recordings.alignment import Alignment, aligned, aligned_parts, find_alignment, sample_to_align
 from pixelid.recordings.crop import Crop
-from pixelid.recordings.frames import with_frames
 from pixelid.recordings.parts import LongRecording
 from pixelid.recordings.reading import open_cropped, open_recording
 from pixelid.recordings.recording import Recording
-from pixelid.recordings.sensor_light import with_measured_light
-from pixelid.stimuli.files import load_stimulus
 from pixelid.stimuli.pixel_lights import Light
+
+if TYPE_CHECKING:
+    from pixelid.recordings.alignment import Alignment
 
 SENSOR, FRAMES = "sensor", "frames"  # the light as the sensor itself measured it
 
@@ -21,7 +21,7 @@ SENSOR, FRAMES = "sensor", "frames"  # the light as the sensor itself measured i
 def converted(
     source: Path, stimulus: str | Path | Light | None, align: str | None, crop: Crop, seed: int
 ) -> tuple[Recording | LongRecording, str]:
-    """The recording of a file beside its light, and what to say of either.
+    """The recording of a file with its light, and what to say of either.
 
     Args:
         source: the file.
@@ -35,17 +35,23 @@ def converted(
         InputError: as `open_cropped`, `load_stimulus` and `find_alignment`; light that does not cover the events.
     """
     if align is not None and stimulus is None:
-        raise InputError("--align: expected --stimulus beside it, the light to align")
+        raise InputError("--align: needs --stimulus, the light to align")
     own, dark = own_light(stimulus)
     if align is not None and own:
         raise InputError(f"--align: --stimulus {own} is on the camera's clock already")
     if own == SENSOR:  # cut afterwards: what a pixel measured counts whole
+        from pixelid.recordings.sensor_light import with_measured_light
+
         recording = crop.applied(with_measured_light(open_recording(source)), seed)
         return recording, str(recording.attributes.get("polarity", ""))
     if own == FRAMES:
+        from pixelid.recordings.frames import with_frames
+
         return crop.applied(with_frames(open_recording(source), dark), seed), ""
     if stimulus is None:
         return open_cropped(source, crop, seed), ""
+    from pixelid.stimuli.files import load_stimulus
+
     light = load_stimulus(stimulus, (SENSOR, FRAMES)) if isinstance(stimulus, str | Path) else stimulus
     if align is None:  # light ends where the cut does
         whole = open_cropped(source, Crop()).with_stimulus(light)
@@ -53,8 +59,10 @@ def converted(
             recording = crop.applied_to_parts(whole, seed)
         else:
             recording = crop.applied(whole, seed)
-        _refuse_other_clock(recording)
+        recording.check_stimulus_covers_events()
         return recording, ""
+    from pixelid.recordings.alignment import aligned, aligned_parts, find_alignment, sample_to_align
+
     part = open_cropped(source, crop, seed)
     alignment = find_alignment(sample_to_align(part, seed) if isinstance(part, LongRecording) else part, light, align)
     light = _until(light, alignment, crop, source)
@@ -91,13 +99,3 @@ def _until(light: Light, alignment: Alignment, crop: Crop, source: Path) -> Ligh
         parts = whole.read() if isinstance(whole, LongRecording) else [whole]
         end_s += next((int(part.events.t[0]) for part in parts if len(part.events)), 0) * 1e-9
     return light.until((end_s - alignment.offset_s) / (1.0 + alignment.rate_error))
-
-
-def _refuse_other_clock(recording: Recording | LongRecording) -> None:
-    """Raise InputError that names --align, where events and light do not overlap at all or only in part."""
-    try:
-        recording.check_stimulus_covers_events()
-    except InputError as error:
-        raise InputError(
-            f"{error}; if the light has its own clock, say where it starts: --align trigger|first-event|auto|SECONDS"
-        ) from None

@@ -13,11 +13,13 @@ import numpy as np
 
 from pixelid.errors import InputError, first_line
 from pixelid.recordings import dat, evt, evt21
+from pixelid.recordings.bias_files import biases_beside
 from pixelid.recordings.columns import PART_EVENTS, to_nanoseconds
 from pixelid.recordings.events import Events
 from pixelid.recordings.raw import Block, RawEvents
 from pixelid.recordings.recording import Recording
-from pixelid.recordings.source import OPTION, ReadingOptions, size_of_chip
+from pixelid.recordings.rules import chosen_name
+from pixelid.recordings.source import ReadingOptions, size_of_chip
 from pixelid.recordings.triggers import Triggers
 
 Packet = TypeVar("Packet")
@@ -44,9 +46,8 @@ def opened(path: Path, options: ReadingOptions) -> RawEvents:
     header = _header(path)
     kind = TYPES.get(path.suffix.lower()) or ("aedat" if "source" in header else "evt")
     attributes: dict = {"header": header} if header else {}
-    biases = path.with_suffix(".bias")
-    if biases.is_file():
-        attributes["biases"] = _bias_file(biases)
+    if found := biases_beside(path):
+        attributes["biases"] = found
     sensor = header.get("plugin_name", "") or header.get("source", "")
     head = Recording(Events.empty(1, 1), sensor=sensor, source=path, attributes=attributes)
     raw = RawEvents(head, lambda: iter(()), f"{path}: events", "us", 1000, polarity="01")
@@ -108,8 +109,8 @@ def _aedat(path: Path, raw: RawEvents, options: ReadingOptions) -> RawEvents:
             counts[str(track.id)] += len(packet)
         found = {name: count for name, count in counts.items() if count}
     else:
-        found = {options.stream or next(iter(streams)): 1}
-    name = chosen(list(found), list(streams), options, path)
+        found = dict.fromkeys(list(streams)[:1], 1)
+    name = chosen_name(list(found), list(streams), options, str(path))
 
     def blocks() -> Iterator[Block]:
         def mine(entry: tuple):
@@ -130,21 +131,6 @@ def _aedat(path: Path, raw: RawEvents, options: ReadingOptions) -> RawEvents:
 
     names = tuple(streams) if len(streams) > 1 else ()
     return replace(raw, blocks=blocks, size=streams[name].dimensions, streams=names)
-
-
-def chosen(filled: list[str], every: list[str], options: ReadingOptions, path: Path) -> str:
-    """The stream that is stated, else the only one with events, else the first where none has any.
-
-    Raises:
-        InputError: one must be stated, or another is.
-    """
-    if options.stream is not None:
-        if options.stream not in every:
-            raise InputError(f"{path}: --stream: expected one of {', '.join(every)}, found {options.stream!r}")
-        return options.stream
-    if len(filled) > 1:
-        raise InputError(f"{path}: several streams of events: {', '.join(filled)}; {OPTION['stream']}")
-    return (filled or every)[0]
 
 
 def _others(path: Path, kind, raw: RawEvents, size: tuple[int, int] | None) -> RawEvents:
@@ -202,16 +188,6 @@ def _columns(parts: list) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarra
     return t, x, y, p.astype(np.uint8)
 
 
-def _bias_file(path: Path) -> dict[str, int | str]:
-    """Prophesee's `.bias` file beside a RAW file: lines `value % name [% kind]`; others are its header."""
-    biases: dict[str, int | str] = {}
-    for line in path.read_text("latin1").splitlines()[:200]:
-        value, name = (*(part.strip() for part in line.split("%")), "")[:2]
-        if name and value:
-            biases[name] = int(value) if re.fullmatch(r"-?\d{1,9}", value) else value[:80]
-    return biases
-
-
 def _header(path: Path) -> dict[str, str]:
     """The `% name value` lines of a Prophesee file, or the camera's name in an AEDAT4 file."""
     with path.open("rb") as file:
@@ -249,7 +225,7 @@ def _sizes(header: dict[str, str]) -> tuple[tuple[int | None, int | None], tuple
     width, height = re.search(r"width[= ](\d+)", text, re.I), re.search(r"height[= ](\d+)", text, re.I)
     if width and height:
         return (int(width.group(1)), int(height.group(1))), ()
-    generation = re.search(r"(gen\d|imx63[67]|genx320)", text, re.I)
+    generation = re.search(r"(gen\d|imx6[34][67]|genx320)", text, re.I)
     generation = generation.group(1) if generation else f"gen{header.get('sensor_generation', '')}"
     if (size := size_of_chip(generation)) is not None:
         return (None, None), ((size, f" of the sensor ({generation})"),)

@@ -1,4 +1,4 @@
-"""What speaks against a recording before a fit: one polarity only, ON where light falls, times of another unit.
+"""What speaks against a recording before a fit: one polarity or one time only, ON where light falls, another unit.
 
 Each is one line that names it; none stops a command.
 """
@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from pixelid.recordings.events import Events
 from pixelid.recordings.recording import Recording
 from pixelid.stimuli.stimulus import Stimulus
 
@@ -17,6 +18,9 @@ MIN_TELLING, MAX_SHARE_AGREEING = 100, 1 / 3
 SETTLED_S = 5e-3  # light that has run one way for so long is what a pixel sees, whatever its bandwidth above 30 Hz
 STEPS, MOST_LOOKED_AT = 5, 100_000
 LEAST_COVERED = 0.01  # of a light that changes, by the events
+# Events per time and per pixel, of times so far apart: no readout waits as long while all pixels fire.
+MANY_PER_TIME, COARSE_NS = 20, 900_000
+MAX_OUTSIDE = 0.01  # of events, that a latency carries past the light's end
 
 
 def polarity_doubt(events: int, on: float | None) -> str:
@@ -27,14 +31,34 @@ def polarity_doubt(events: int, on: float | None) -> str:
     return f"only {kind} events: nothing is known of the {other} threshold; is the polarity column right?"
 
 
+def doubts_of_events(events: Events) -> list[str]:
+    """What speaks against events by themselves."""
+    share = float(events.p.mean()) if len(events) else None
+    found = [polarity_doubt(len(events), share), _times_doubt(events)]
+    return [line for line in found if line]
+
+
 def doubts(recording: Recording) -> list[str]:
     """What speaks against the events of a recording, and against its light's being theirs."""
     events, light = recording.events, recording.stimulus
-    share = float(events.p.mean()) if len(events) else None
-    found = [polarity_doubt(len(events), share)]
+    found = doubts_of_events(events)
     if isinstance(light, Stimulus) and light.full_field and len(events) >= MIN_TELLING:
-        found += [_inverted(recording, light), _too_short(recording, light)]
+        found += [_inverted(recording, light), _too_short(recording, light), _not_under(recording, light)]
     return [line for line in found if line]
+
+
+def _times_doubt(events: Events) -> str:
+    """Of events that share few times, which tell nothing of a pixel's answer."""
+    if len(events) < MIN_EVENTS:
+        return ""
+    if events.t[0] == events.t[-1]:
+        return f"all events have one time, {int(events.t[0])} ns: is the column of the times right?"
+    steps = np.diff(events.t)
+    steps = steps[steps > 0]
+    times, pixels = 1 + len(steps), len(np.unique(events.pixel))
+    if steps.min() < COARSE_NS or max(times, pixels) * MANY_PER_TIME > len(events):
+        return ""
+    return f"{len(events)} events of {pixels} pixels at {times} times only: are the times cut to whole ms or s?"
 
 
 def _inverted(recording: Recording, light: Stimulus) -> str:
@@ -54,6 +78,16 @@ def _inverted(recording: Recording, light: Stimulus) -> str:
         f"ON events where the light falls: {count - agree} of {count} events disagree with it; --polarity swapped, or "
         "another light?"
     )
+
+
+def _not_under(recording: Recording, light: Stimulus) -> str:
+    """Events outside the light's time."""
+    t = recording.events.t
+    first, last = np.searchsorted(t, [light.start_s * 1e9, light.end_s * 1e9])
+    outside = int(first) + (len(t) - int(last) if light.interpolation != "previous" else 0)
+    if outside <= MAX_OUTSIDE * len(t):
+        return ""
+    return f"{outside} of {len(t)} events lie outside the light: is its time zero theirs (convert --align)?"
 
 
 def _too_short(recording: Recording, light: Stimulus) -> str:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,6 +19,7 @@ if TYPE_CHECKING:
 # by 2 % and more of an interval; rounding at both ends of it adds (0.02/√12)² twice, a sixth of that variance.
 COARSE_UNIT_SHARE, SHORT_QUANTILE = 0.02, 0.01
 NS_PER_UNIT = {"ns": 1, "us": 1_000, "ms": 1_000_000, "s": 1_000_000_000}
+NO_WAYS: Mapping[str, str] = MappingProxyType({})
 MOST_SIDE = 1 << 16  # addresses have 16 bits
 MOST_PIXELS = 1 << 24  # ten times the largest sensors; one number per pixel takes 128 MiB
 
@@ -72,11 +75,12 @@ class Events:
     @staticmethod
     def from_columns(
         t, x, y, p, width: int, height: int, *, tick_ns: int = 1, where: str = "events", before: int = 0,
-        not_before_ns: int = 0,
+        not_before_ns: int = 0, ways: Mapping[str, str] = NO_WAYS,
     ) -> Events:  # fmt: skip
         """Validated events from array-likes; `t` in nanoseconds.
 
-        A part of a longer recording says how many events came `before` and the time of the last of them.
+        A part of a longer recording says how many events came `before` and the time of the last of them; `ways` are
+        what a reader's user may do about "negative" times, a "fall" of them and pixels "outside".
 
         Raises InputError naming `where` for unequal lengths, non-integer or negative or decreasing
         times, sensors larger than any that exist, pixels outside the sensor, and polarities other than 0 and 1.
@@ -100,16 +104,23 @@ class Events:
         t = t.astype(np.int64, copy=False)
         if len(t):
             if t[0] < 0:
-                raise InputError(f"{where}/t: times must not be negative, first is {int(t[0])} ns")
+                raise InputError(
+                    f"{where}/t: times must not be negative, first is {int(t[0])} ns{ways.get('negative', '')}"
+                )
             falling = np.flatnonzero(t[1:] < t[:-1])
             if t[0] < not_before_ns or len(falling):
-                k = before if t[0] < not_before_ns else before + int(falling[0]) + 1
-                raise InputError(f"{where}/t: timestamps must not decrease, event {k} is earlier than event {k - 1}")
+                k = 0 if t[0] < not_before_ns else int(falling[0]) + 1
+                fall_s = 1e-9 * float((t[k - 1] if k else not_before_ns) - t[k])
+                raise InputError(
+                    f"{where}/t: timestamps must not decrease, event {before + k} is earlier than event "
+                    f"{before + k - 1} by {fall_s:g} s{ways.get('fall', '')}"
+                )
             for name, column, limit in (("x", x, width), ("y", y, height)):
                 if column.min() < 0 or column.max() >= limit:
                     k = int(np.argmax((column < 0) | (column >= limit)))
                     raise InputError(
                         f"{where}/{name}: event {before + k} has {name} = {int(column[k])}, expected 0..{limit - 1}"
+                        f"{ways.get('outside', '')}"
                     )
             if p.dtype != bool and not ((p == 0) | (p == 1)).all():
                 k = int(np.argmin((p == 0) | (p == 1)))

@@ -9,7 +9,7 @@ column of vectors (3), a vector of 12 or 8 pixels (4, 5), which moves that colum
 (6, 8), an edge at a trigger input (10: input in bits 8–11, rising in bit 0).
 
 Both clocks roll over.  A fall of the high part by more than half its range is a rollover; any smaller one stays a fall,
-which whoever checks the times refuses.
+which the check of the times refuses.
 """
 
 from __future__ import annotations

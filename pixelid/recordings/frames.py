@@ -73,7 +73,7 @@ def with_frames(recording: Recording, dark: float = 0.0) -> Recording:
     Pixels that clip in any frame, or are not above the grey level `dark` in all of them, are left out.
 
     Raises:
-        InputError: a file that is not AEDAT4, has no frames, or no pixel whose light they tell.
+        InputError: a file that is not AEDAT4, has no frames, or no pixel whose light they show.
     """
     from pixelid.recordings.isolated import read_isolated
 

@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -28,6 +27,7 @@ from typing import Any
 import numpy as np
 
 from pixelid.errors import InputError, first_line, shown
+from pixelid.recordings.bias_files import biases_beside
 from pixelid.recordings.columns import to_nanoseconds
 from pixelid.recordings.events import Events
 from pixelid.recordings.layouts import Arrays, Stream, chosen_stream
@@ -35,6 +35,7 @@ from pixelid.recordings.metadata import FORMAT, MOST_SIZE, MOST_TICK_NS, VERSION
 from pixelid.recordings.raw import RawEvents
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.source import ReadingOptions
+from pixelid.recordings.statements import stated_size, stated_unit
 from pixelid.recordings.triggers import Triggers
 from pixelid.stimuli.pixel_lights import Light, light_from_arrays
 
@@ -43,8 +44,7 @@ MOST_OBJECTS = 1000  # groups of a file
 SMALL_BYTES, MOST_RATIO = 1 << 26, 2000  # deflate compresses a thousandfold at most
 NAMED = {"format", "version", "condition", "sensor", "pooled"}
 MILLISECONDS = ("ms_to_idx", "ms_map_idx")  # for every millisecond, the first event: so times are µs
-DSEC_SIZE = (640, 480)
-UNITS = {"microseconds": "us", "µs": "us", "seconds": "s", "nanoseconds": "ns", "milliseconds": "ms"}
+MILLISECOND_SIZES = (640, 480), (1280, 720)  # DSEC, EDS, VECtor; TUM-VIE
 FILTERS = {0x8ECF: "ECF (Prophesee's plugin: set HDF5_PLUGIN_PATH, or convert with the maker's tools)",
            32000: "LZF", 32001: "Blosc",
            32004: "LZ4", 32008: "bitshuffle", 32015: "Zstandard", 32026: "Blosc2"}  # fmt: skip
@@ -136,12 +136,16 @@ def _foreign(file, path: Path, attributes: dict, options: ReadingOptions) -> Raw
     groups = [group, *([] if group.name == "/" else [group.parent, file])]
     where = f"{path}: {stream.name}"
     by_layout = any(name in one for one in groups for name in MILLISECONDS) or stream.name == "CD/events"
-    stated = _attribute(file[stream.time].attrs.get("unit", file[stream.time].attrs.get("units", "")))
-    unit = UNITS.get(str(stated), str(stated)) or stream.unit or ("us" if by_layout else None)
-    size, likely = _stated_size(groups, attributes, where), ()
-    if size == (None, None):
-        likely = _likely_sizes(groups, file)
-    kept = {name: value for name, value in attributes.items() if isinstance(value, str | int | float)}
+    holders = [_entries(one) for one in groups]
+    own = {name: _attribute(value) for name, value in file[stream.time].attrs.items()}
+    unit = stream.unit or stated_unit(own, holders, where) or ("us" if by_layout else None)
+    size, likely = stated_size(holders, where)
+    if any("ms_to_idx" in one for one in groups):
+        likely += tuple((one, " of a sensor whose data sets have this layout") for one in MILLISECOND_SIZES)
+    kept: dict[str, Any] = {name: value for name, value in attributes.items()
+            if name not in NAMED and isinstance(value, str | int | float)}  # fmt: skip
+    if biases := biases_beside(path):
+        kept["biases"] = biases
     triggers = _prophesee_triggers(file, path) if "EXT_TRIGGER" in file else None
     head = Recording(Events.empty(1, 1), sensor=str(attributes.get("plugin_name", "")), source=path,
                      attributes=kept, triggers=triggers)  # fmt: skip
@@ -189,34 +193,15 @@ def _refuse_missing_filter(dataset, where: str) -> None:
             )
 
 
-def _stated_size(groups: list, attributes: dict, where: str) -> tuple[int | None, int | None]:
-    """Width and height in attributes of those names, Prophesee's `geometry`, or M3ED's `calib/resolution`."""
-    found: list[int | None] = [None, None]
-    for group in groups:
-        for k, side in enumerate(("width", "height")):
-            if found[k] is None and side in group.attrs:
-                found[k] = whole(group.attrs[side], f"{where}: attribute {side}", MOST_SIZE)
-    geometry = re.fullmatch(r"(\d{1,9})x(\d{1,9})", str(attributes.get("geometry", "")).lower(), re.ASCII)
-    if found == [None, None] and geometry is not None:
-        return int(geometry[1]), int(geometry[2])
-    for group in groups if found == [None, None] else ():
-        sides = np.asarray(group["calib/resolution"][()]) if "calib/resolution" in group else np.empty(0)
-        if sides.shape == (2,) and sides.dtype.kind in "iu":
-            return int(sides[0]), int(sides[1])
-    return found[0], found[1]
-
-
-def _likely_sizes(groups: list, file) -> tuple[tuple[tuple[int, int], str], ...]:
-    """What E2VID's `sensor_resolution` (rows first) and DSEC's layout suggest."""
-    for group in groups:
-        sides = np.asarray(group.attrs.get("sensor_resolution", file.attrs.get("sensor_resolution", 0)))
-        if sides.shape == (2,) and sides.dtype.kind in "iu" and (sides > 0).all():
-            high, wide = (int(side) for side in sides)
-            return ((wide, high), " as sensor_resolution says, rows first"), (
-                (high, wide),
-                " as sensor_resolution says",
-            )
-    return ((DSEC_SIZE, " of DSEC's sensor, whose layout it is"),) if "ms_to_idx" in file else ()
+def _entries(group) -> dict[str, Any]:
+    """What a group states in attributes, and in arrays of one or two numbers or words."""
+    entries = {name: _attribute(value) for name, value in group.attrs.items()}
+    for name in (*group, "calib/resolution"):
+        item = group.get(name)
+        if getattr(item, "shape", None) in ((), (1,), (2,)) and item.dtype.kind in "iufOS":
+            value = item[()]
+            entries.setdefault(name, _attribute(value) if item.dtype.kind in "OS" else value)
+    return entries
 
 
 def _time_offset(groups: list, where: str) -> int:
@@ -278,7 +263,7 @@ def _attributes(file, path: Path) -> tuple[dict, bool, bool]:
     """The file's attributes, whether it is of the project's own format, and whether its pixels are pooled."""
     attributes = {name: _attribute(value) for name, value in file.attrs.items()}
     own = attributes.get("format") == FORMAT
-    if not own and "format" in attributes:
+    if not own and "pixelid" in str(attributes.get("format", "")):
         raise InputError(f"{path}: format: expected {FORMAT!r}, found {shown(attributes['format'])}")
     if own and attributes.get("version") != VERSION:
         raise InputError(f"{path}: version: expected {VERSION}, found {shown(attributes.get('version'))}")

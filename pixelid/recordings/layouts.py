@@ -1,7 +1,8 @@
 """Where the events lie among a file's arrays: HDF5, npz and MATLAB files name and nest them in many ways.
 
 A stream of events is a group of columns with the names of t, x, y and p; one array of records with such fields; or an
-array of four columns, whose order is inferred.  Streams without events are passed over; of several one is stated.
+array of four columns or rows, whose order is inferred.  Streams without events are passed over; of several one is
+stated.
 """
 
 from __future__ import annotations
@@ -14,11 +15,11 @@ import numpy as np
 
 from pixelid.errors import InputError, shown
 from pixelid.recordings.raw import Block
-from pixelid.recordings.rules import ROWS, infer_order, named_columns
-from pixelid.recordings.source import OPTION, ReadingOptions
+from pixelid.recordings.rules import ROWS, chosen_name, infer_order, named_columns
+from pixelid.recordings.source import ReadingOptions
 
 Kind = tuple[np.dtype, tuple[int, ...]]
-SHOWN_STREAMS = 8
+MOST_COLUMNS = 16  # of an array whose order is stated
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,7 @@ class Stream:
         fields: names or numbers of t, x, y, p in that array; empty where each is an array.
         unit: that the name of t states.
         inferred: of `Source`.
+        across: whether the columns are rows of that array.
     """
 
     name: str
@@ -53,6 +55,7 @@ class Stream:
     fields: tuple[Any, ...] = ()
     unit: str | None = None
     inferred: tuple[tuple[str, tuple[Any, str]], ...] = ()
+    across: bool = False
 
     @property
     def time(self) -> str:
@@ -67,7 +70,7 @@ class Stream:
             elif isinstance(self.fields[0], str):
                 yield Block.of(piece[0][name] for name in self.fields)
             else:
-                yield Block.of(piece[0][:, k] for k in self.fields)
+                yield Block.of(piece[0][k] if self.across else piece[0][:, k] for k in self.fields)
 
 
 def chosen_stream(
@@ -86,23 +89,13 @@ def chosen_stream(
     """
     streams = [stream for stream in _streams(arrays, options, where) if stream.name not in without]
     names = tuple(stream.name for stream in streams)
-    if options.stream is not None:
-        streams = [s for s in streams if options.stream in (s.name, s.name.rpartition("/")[2])]
-        if len(streams) != 1:
-            raise InputError(f"{where}: --stream: expected one of {_listed(names)}, found {shown(options.stream)}")
-    filled = [stream for stream in streams if stream.length] or streams[:1]
-    if not filled:
+    if not streams:
         raise InputError(
             f"{where}: expected columns t, x, y, p, found {shown(', '.join(arrays.kinds) or 'nothing', 200)}; "
             "state their names: --columns t=NAME,x=NAME,y=NAME,p=NAME"
         )
-    if len(filled) > 1:
-        raise InputError(f"{where}: several streams of events: {_listed([s.name for s in filled])}; {OPTION['stream']}")
-    return filled[0], names if len(names) > 1 else ()
-
-
-def _listed(names: Sequence[str]) -> str:
-    return ", ".join(names[:SHOWN_STREAMS]) + (" …" if len(names) > SHOWN_STREAMS else "")
+    name = chosen_name([stream.name for stream in streams if stream.length], names, options, where)
+    return next(stream for stream in streams if stream.name == name), names if len(names) > 1 else ()
 
 
 def _streams(arrays: Arrays, options: ReadingOptions, where: str) -> list[Stream]:
@@ -113,8 +106,10 @@ def _streams(arrays: Arrays, options: ReadingOptions, where: str) -> list[Stream
     found = [_of_group(arrays, group, paths, options, where) for group, paths in groups.items()]
     found += [_of_records(path, kind, options) for path, kind in arrays.kinds.items()]
     streams = [stream for stream in found if stream is not None]
+    stated = len(options.columns)
     plain = [path for path, (dtype, shape) in arrays.kinds.items()
-             if dtype.kind in "iuf" and len(shape) == 2 and shape[1] == 4 and shape[0]]  # fmt: skip
+             if dtype.kind in "iuf" and len(shape) == 2 and min(shape) > 0
+             and (4 in shape or (4 <= stated <= MOST_COLUMNS and stated in shape))]  # fmt: skip
     named = [path for path in plain if "event" in path.lower()]
     for path in named or ([] if streams else plain):
         streams.append(_of_four(arrays, path, options, where))
@@ -151,12 +146,15 @@ def _of_records(path: str, kind: Kind, options: ReadingOptions) -> Stream | None
 
 
 def _of_four(arrays: Arrays, path: str, options: ReadingOptions, where: str) -> Stream:
-    length = arrays.kinds[path][1][0]
+    shape, count = arrays.kinds[path][1], len(options.columns) or 4
+    across = shape[1] != count
+    length = shape[1] if across else shape[0]
     if options.columns:
-        order, _ = named_columns([str(k) for k in range(4)], options.columns)
-        if order is None:
-            raise InputError(f"{where}: {path}: --columns: expected four columns, found {','.join(options.columns)}")
-        return Stream(path, length, (path,), tuple(order))
-    sample = next(arrays.pieces([path]))[0][:ROWS]
-    order, inferred = infer_order([sample[:, k] for k in range(4)], f"{where}: {path}")
-    return Stream(path, length, (path,), tuple(order), None, (("columns", inferred),))
+        order, _ = named_columns([str(k) for k in range(count)], options.columns)
+        if order is None or count not in shape:
+            raise InputError(f"{where}: {path}: --columns: expected {min(shape)}, found {','.join(options.columns)}")
+        return Stream(path, length, (path,), tuple(order), across=across)
+    sample = next(arrays.pieces([path]))[0]
+    columns = list(sample[:, :ROWS]) if across else [sample[:ROWS, k] for k in range(4)]
+    order, inferred = infer_order(columns, f"{where}: {path}", options.size)
+    return Stream(path, length, (path,), tuple(order), None, (("columns", inferred),), across)

@@ -15,7 +15,7 @@ import numpy as np
 from pixelid.errors import InputError, first_line
 from pixelid.recordings.events import Events
 from pixelid.recordings.layouts import Arrays, Stream, chosen_stream
-from pixelid.recordings.raw import Block, RawEvents
+from pixelid.recordings.raw import RawEvents
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.source import ReadingOptions
 
@@ -56,19 +56,11 @@ def opened(path: Path, options: ReadingOptions) -> RawEvents:
 
 
 def _raw(stream: Stream, arrays: Arrays, path: Path, atis: bool, streams=(), exposures=None) -> RawEvents:
-    from_one = not any((block.x == 0).any() or (block.y == 0).any() for block in stream.blocks(arrays))
-
-    def blocks() -> Iterator[Block]:
-        for t, x, y, p, _ in stream.blocks(arrays):
-            x, y = (column.astype(np.int64) - from_one if column.dtype.kind in "iuf" else column for column in (x, y))
-            yield Block(t, x, y, p)
-
     unit = stream.unit or ("us" if stream.name in ("TD", EXPOSURES) else None)
     head = Recording(Events.empty(1, 1), sensor="ATIS" if atis else "", source=path)
     likely = ((ATIS_SIZE, " of an ATIS, which has exposure measurements"),) if atis else ()
-    notes = ("addresses counted from one",) if from_one else ()
-    return RawEvents(head, blocks, f"{path}: {stream.name}", unit, likely_sizes=likely, notes=notes,
-                     inferred=stream.inferred, streams=streams, exposures=exposures)  # fmt: skip
+    return RawEvents(head, lambda: stream.blocks(arrays), f"{path}: {stream.name}", unit, likely_sizes=likely,
+                     from_one=True, inferred=stream.inferred, streams=streams, exposures=exposures)  # fmt: skip
 
 
 def _columns(content, inside: str) -> Iterator[tuple[str, np.ndarray]]:

@@ -1,4 +1,4 @@
-"""Everything of a recording but its columns, as JSON: what npz and text files carry beside the events."""
+"""Everything of a recording but its columns, as JSON: what npz and text files carry in addition to the events."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recordings in NumPy's .npz: events under the names that people use."""
+"""Recordings in NumPy's .npz, events under the names that people use, or in one array of a .npy."""
 
 from __future__ import annotations
 
@@ -12,15 +12,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pixelid.errors import InputError, shown
+from pixelid.errors import InputError
 from pixelid.recordings import metadata
 from pixelid.recordings.columns import PART_EVENTS
-from pixelid.recordings.events import NS_PER_UNIT, Events
+from pixelid.recordings.events import Events
 from pixelid.recordings.layouts import Arrays, chosen_stream
 from pixelid.recordings.parts import LongRecording
 from pixelid.recordings.raw import RawEvents
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.source import ReadingOptions
+from pixelid.recordings.statements import stated_size, stated_unit
 
 PREFIX = "stimulus_"  # of the arrays of the light
 COLUMNS = {"t": np.dtype(np.int64), "x": np.dtype(np.uint16), "y": np.dtype(np.uint16), "p": np.dtype(np.uint8)}
@@ -29,22 +30,39 @@ COLUMNS = {"t": np.dtype(np.int64), "x": np.dtype(np.uint16), "y": np.dtype(np.u
 def opened(path: Path, options: ReadingOptions) -> RawEvents:
     """What a .npz file holds; raises InputError where no events can be found in it."""
     where = f"{path}: events"
+    if path.suffix.lower() == ".npy":
+        return _of_one_array(path, options, where)
     with _damage(path), np.load(path, allow_pickle=False) as archive:
         arrays = _arrays(path, where)
         meta = metadata.from_json(str(archive["metadata"]), f"{path}: metadata") if "metadata" in archive else {}
         stream, streams = chosen_stream(arrays, options, where)
-        unit = meta.get("unit") or (str(archive["unit"]) if "unit" in archive else None) or stream.unit
-        if unit is not None and unit not in NS_PER_UNIT:
-            raise InputError(f"{path}: unit: expected {' or '.join(NS_PER_UNIT)}, found {shown(unit, 20)}")
-        sides = [meta.get(name) or _scalar(archive, name, where) for name in ("width", "height")]
+        small = {
+            name: str(archive[name]) if kind.kind in "US" else archive[name]
+            for name, (kind, shape) in arrays.kinds.items()
+            if shape in ((), (1,), (2,)) and kind.kind in "iufUS"
+        }
+        unit = meta.get("unit") or stream.unit or stated_unit(small, (), where)
+        size, likely = stated_size([meta, small], where)
         light = {name[len(PREFIX) :]: archive[name] for name in archive.files if name.startswith(PREFIX)} or None
         floating = arrays.kinds[stream.time][0].kind == "f"
     tick_ns = meta.get("tick_ns") or (1 if unit is not None and floating else None)
     head = metadata.assemble(meta, Events.empty(1, 1), light, path, str(path))
     return RawEvents(
-        head, lambda: stream.blocks(arrays), where, unit, tick_ns, size=(sides[0], sides[1]),
+        head, lambda: stream.blocks(arrays), where, unit, tick_ns, size=size, likely_sizes=likely,
         polarity="01" if meta else None, inferred=stream.inferred, streams=streams,
     )  # fmt: skip
+
+
+def _of_one_array(path: Path, options: ReadingOptions, where: str) -> RawEvents:
+    with _damage(path):
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
+    parts = range(0, array.shape[0] if array.ndim and array.shape[0] != 4 else 1, PART_EVENTS)
+    size = PART_EVENTS if len(parts) > 1 else None
+    arrays = Arrays({"events": (array.dtype, array.shape)},
+                    lambda names: ([array[k:][:size]] * len(names) for k in parts))  # fmt: skip
+    stream, _ = chosen_stream(arrays, options, where)
+    head = Recording(Events.empty(1, 1), source=path)
+    return RawEvents(head, lambda: stream.blocks(arrays), where, stream.unit, inferred=stream.inferred)
 
 
 @contextmanager
@@ -96,22 +114,18 @@ def _array_header(file) -> tuple[tuple, np.dtype, bool]:
     return shape, dtype, fortran and len(shape) > 1
 
 
-def _scalar(archive, name: str, where: str) -> int | None:
-    return metadata.whole(archive[name], f"{where}: {name}", metadata.MOST_SIZE) if name in archive else None
-
-
 def write(
     recording: Recording | LongRecording, path: Path, progress: Callable[[str, float], None] | None = None
 ) -> None:
     """Write `recording` to a compressed .npz with t in nanoseconds and everything else in `metadata`.
 
-    Columns are packed one after the other, piece by piece: those of a long recording wait in raw files beside `path`
+    Columns are packed one after the other, piece by piece: those of a long recording wait in raw files next to `path`
     (13 bytes an event) until all its parts have been read, since a column's length stands before its first number.
 
     Args:
         recording: Of any length; memory does not grow with it.
         path: To be written.
-        progress: Told which column is being packed, and the share of all columns that is done.
+        progress: Called with which column is being packed, and the share of all columns that is done.
     """
     head = recording.head if isinstance(recording, LongRecording) else recording
     with ExitStack() as stack:

@@ -51,7 +51,7 @@ class LongRecording:
         joined(self.head, [*first, *last]).check_stimulus_covers_events()
 
     def with_stimulus(self, stimulus: Light) -> LongRecording:
-        """The same events beside another stimulus."""
+        """The same events with another stimulus."""
         return self.map(lambda part: part.with_stimulus(stimulus))
 
     def watched(self, look: Callable[[Recording], object]) -> LongRecording:

@@ -53,7 +53,7 @@ def picture(path: Path) -> Iterator[dict[str, np.ndarray]]:
         elif path.suffix.lower() == ".exr":
             image = _exr(path)
         else:
-            from skimage.io import imread
+            from imageio.v3 import imread
 
             image = imread(path)
     except (InputError, MemoryError):

@@ -18,10 +18,23 @@ from pixelid.recordings.events import NS_PER_UNIT, Events
 from pixelid.recordings.parts import WHOLE_EVENTS
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.rules import Statistics, decoded_polarity, infer_polarity, infer_unit
-from pixelid.recordings.source import EMPTY, LARGEST, OPTION, ReadingOptions, Source, size_of_chip
+from pixelid.recordings.source import (
+    EMPTY,
+    LARGEST,
+    OPTION,
+    SENSOR_SIZES,
+    ReadingOptions,
+    Source,
+    size_of_chip,
+)
 from pixelid.recordings.triggers import Triggers
 
 MOST_STRETCHES = 100
+WAYS = {
+    "negative": "; add so much to the times of events and light alike",
+    "fall": f"; sort them, or read one stretch: {OPTION['clock']}",
+    "outside": f"; another size or order of columns may be stated: {OPTION['size']}, {OPTION['columns']}",
+}
 
 
 class Block(NamedTuple):
@@ -54,6 +67,7 @@ class RawEvents:
         size: (width, height), None each where it is not stated.
         likely_sizes: what other things than the header suggest, and why; the first that holds all events is taken.
         polarity: "01" where the format says so.
+        from_one: whether addresses of the format count from one, unless one of them is zero.
         inferred, notes, streams: of `Source`, settled by the reader.
         duplicates: how many events the file declares to repeat an earlier one; None: any number may.
         exposures: exposure measurements of an ATIS.
@@ -69,6 +83,7 @@ class RawEvents:
     size: tuple[int | None, int | None] = (None, None)
     likely_sizes: tuple[tuple[tuple[int, int], str], ...] = ()
     polarity: str | None = None
+    from_one: bool = False
     inferred: tuple[tuple[str, tuple[Any, str]], ...] = ()
     notes: tuple[str, ...] = ()
     streams: tuple[str, ...] = ()
@@ -94,8 +109,14 @@ def interpreted(raw: RawEvents, options: ReadingOptions) -> tuple[Recording, Ite
         if raw.exposures is not None:
             other = _looked_at(raw.exposures)[0].side
             widest = max(widest[0], other[0]), max(widest[1], other[1])
+    first = _first_address(statistics, size, raw)
+    widest = widest[0] - first, widest[1] - first
     if None in size:
         size = _settled_size(size, widest, raw, inferred)
+    if first:
+        notes.append("addresses counted from one")
+    elif statistics.least == (1, 1) and raw.size == (None, None) and not options.size:
+        notes.append(f"addresses begin at 1: if they count from one, state it: {OPTION['size']}")
     if unit is None:
         unit, why = infer_unit(statistics, raw.where)
         inferred |= {"time_unit": (unit, why)} if statistics.events else {}
@@ -110,7 +131,7 @@ def interpreted(raw: RawEvents, options: ReadingOptions) -> tuple[Recording, Ite
         notes.append(f"sorted by time: {statistics.fall_count} events were earlier than the one before")
     source = Source(stated, inferred, tuple(notes), raw.streams)
     attributes = source.kept_in(raw.head.attributes)
-    settled = _Settled(raw, unit, (int(size[0] or 1), int(size[1] or 1)), code)
+    settled = _Settled(raw, unit, (int(size[0] or 1), int(size[1] or 1)), code, first)
     counted = not statistics.floating or ("time_unit" in inferred and statistics.whole)
     tick_ns = raw.tick_ns or (NS_PER_UNIT.get(unit, 1) if counted else 1)
     exposures = None
@@ -159,6 +180,18 @@ def _settled_size(
     return settled
 
 
+def _first_address(s: Statistics, size: tuple[int | None, int | None], raw: RawEvents) -> int:
+    """1 where addresses count from one: none is zero, and the format does so or the last is as large as the sensor."""
+    if min(s.least) < 1 or not s.events:
+        return 0
+    last, (width, height) = (s.side[0] - 1, s.side[1] - 1), size
+    if width is None or height is None:
+        sizes = {*(SENSOR_SIZES.values() if s.least == (1, 1) else ()), *(likely for likely, _ in raw.likely_sizes)}
+        return int(raw.from_one or last in sizes)
+    reaches = last[0] == width or last[1] == height
+    return int(raw.from_one or (reaches and last[0] <= width and last[1] <= height))
+
+
 def _stretch(s: Statistics, clock: str, where: str) -> tuple[tuple[int, int], tuple[str, str]]:
     """First and last event of the stretch that is asked for; its number, and what to say of it."""
     count, number = s.fall_count + 1, int(clock.partition(":")[2] or 1)
@@ -181,6 +214,7 @@ class _Settled:
     unit: str
     size: tuple[int, int]
     code: str
+    first: int = 0
 
     def columns(self, block: Block) -> tuple[np.ndarray, ...]:
         """(t ns, x, y, p)."""
@@ -191,7 +225,8 @@ class _Settled:
         else:
             t = to_nanoseconds(t, self.unit, where, self.raw.offset)
         p = decoded_polarity(p.astype(np.uint8) if p.dtype.kind == "b" else p, self.code, where)
-        return t, _whole(x, f"{where}/x"), _whole(y, f"{where}/y"), p
+        x, y = _whole(x, f"{where}/x"), _whole(y, f"{where}/y")
+        return (t, x.astype(np.int64) - 1, y.astype(np.int64) - 1, p) if self.first else (t, x, y, p)
 
 
 def _whole(column: np.ndarray, where: str) -> np.ndarray:
@@ -231,11 +266,8 @@ def _parts(head: Recording, columns: Iterator[Block], raw: RawEvents) -> Iterato
     before, last_ns, repeats, counter, edges = 0, 0, 0, RepeatCounter(), head.triggers
     size, tick_ns, where = (head.events.width, head.events.height), head.events.tick_ns, raw.where
     for t, x, y, p, triggers in columns:
-        if len(t):
-            _refuse_fall(t, last_ns, before, where)
-            _refuse_outside(x, y, size, before, where)
         events = Events.from_columns(
-            t, x, y, p, *size, tick_ns=tick_ns, where=where, before=before, not_before_ns=last_ns
+            t, x, y, p, *size, tick_ns=tick_ns, where=where, before=before, not_before_ns=last_ns, ways=WAYS
         )
         before += len(events)
         last_ns = int(events.t[-1]) if len(events) else last_ns
@@ -248,28 +280,6 @@ def _parts(head: Recording, columns: Iterator[Block], raw: RawEvents) -> Iterato
         edges = None
     if edges is not None:
         yield replace(head, triggers=edges)
-
-
-def _refuse_fall(t: np.ndarray, last_ns: int, before: int, where: str) -> None:
-    """Raise InputError for a time before the one before it, and say what may be done."""
-    steps = np.diff(t, prepend=last_ns if before else t[0])
-    if len(fallen := np.flatnonzero(steps < 0)):
-        k = before + int(fallen[0])
-        raise InputError(
-            f"{where}/t: timestamps must not decrease, event {k} is earlier than event {k - 1} by "
-            f"{-float(steps[fallen[0]]) * 1e-9:g} s; sort them, or read one stretch: {OPTION['clock']}"
-        )
-
-
-def _refuse_outside(x: np.ndarray, y: np.ndarray, size: tuple[int, int], before: int, where: str) -> None:
-    """Raise InputError for a pixel outside the sensor, and say what may be stated otherwise."""
-    for name, column, limit in (("x", x, size[0]), ("y", y, size[1])):
-        if column.dtype.kind in "iu" and len(outside := np.flatnonzero((column < 0) | (column >= limit))):
-            k = int(outside[0])
-            raise InputError(
-                f"{where}/{name}: event {before + k} has {name} = {int(column[k])}, expected 0..{limit - 1}; another "
-                f"size or order of columns may be stated: {OPTION['size']}, {OPTION['columns']}"
-            )
 
 
 def _one(parts: list[Events]) -> Events | None:

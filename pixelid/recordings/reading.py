@@ -7,6 +7,7 @@ from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
+from pixelid.delimited import CONTROL, cells_of, encoding_of, is_number
 from pixelid.errors import InputError, did_you_mean
 from pixelid.recordings.crop import Crop
 from pixelid.recordings.doubts import doubts
@@ -19,7 +20,8 @@ from pixelid.recordings.source import ATTRIBUTE, ReadingOptions, Source, announc
 LONG_BYTES = 1 << 21  # of files that are read in parts: smaller ones cannot hold what memory could not
 BAG_SUFFIXES = (".bag", ".db3", ".mcap")
 BINARY_SUFFIXES = (".h5", ".hdf5", ".npz", ".aedat4", ".aedat", ".raw", ".dat", ".es", ".mat", *BAG_SUFFIXES)
-TEXT_SUFFIXES = (".csv", ".txt")
+TEXT_SUFFIXES = (".csv", ".txt", ".tsv")
+LOOKED_AT = 4096  # bytes, by which a format shows
 READABLE = ", ".join(BINARY_SUFFIXES + TEXT_SUFFIXES)
 
 
@@ -30,7 +32,7 @@ def open_recording(path: str | Path, options: ReadingOptions | None = None) -> R
     ES, bags, MATLAB files and text.  Times become int64 nanoseconds; `events.tick_ns` remembers the unit of the source.
 
     Args:
-        path: the file; `NAME.source.toml` beside it may state what it does not.
+        path: the file; `NAME.source.toml` next to it may state what it does not.
         options: what the caller states, over that.
 
     Returns:
@@ -112,7 +114,7 @@ def open_recordings(
 
 
 def check_readable(paths: Iterable[str | Path]) -> None:
-    """Look for the files before anything slow begins.  Raises InputError as `open_recordings`, where a look tells."""
+    """Look for the files before anything slow begins.  Raises InputError as `open_recordings`, where a look shows."""
     for path in paths:
         for file in _files(Path(path)):
             _recognised(file)
@@ -140,7 +142,7 @@ def _recognised(path: Path) -> str:
         raise InputError(f"{path}: expected a regular file, found a device, pipe or socket")
     try:
         with path.open("rb") as file:
-            head = file.read(16)
+            head = file.read(LOOKED_AT)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
     if not head:
@@ -153,7 +155,7 @@ def _reader(path: Path, head: bytes) -> str:
     suffix = path.suffix.lower()
     if head.startswith(b"\x89HDF\r\n\x1a\n") or suffix in (".h5", ".hdf5"):
         return "hdf5"
-    if suffix == ".npz":
+    if suffix == ".npz" or (suffix == ".npy" and head.startswith(b"\x93NUMPY")):
         return "npz"
     if suffix == ".mat" or head.startswith(b"MATLAB 5.0"):
         return "matlab"
@@ -161,11 +163,24 @@ def _reader(path: Path, head: bytes) -> str:
         return "ros"
     if head.startswith(b"#!AER-DAT2"):
         return "aedat2"
-    if head.startswith((b"#!AER-DAT4", b"Event Stream")) or suffix in (".aedat4", ".raw", ".dat", ".es"):
+    if head.startswith(b"#!AER-DAT") and not head.startswith((b"#!AER-DAT4", b"#!AER-DAT text")):
+        version = head.splitlines()[0].decode("latin1")[:40]
+        raise InputError(f"{path}: expected AER-DAT2.0 or AER-DAT4.0, found {version}; convert it with jAER or DV")
+    if head.startswith((b"#!AER-DAT4", b"Event Stream")):
         return "decoded"
-    if suffix in TEXT_SUFFIXES:
+    if suffix in TEXT_SUFFIXES or (suffix not in (".aedat4", ".raw", ".es") and _is_table(head)):
         return "text"
-    if head.startswith(b"#!AER-DAT"):
-        version = head.splitlines()[0].decode("latin1")
-        raise InputError(f"{path}: expected AER-DAT2.0 or AER-DAT4.0, found {version}")
+    if suffix in (".aedat4", ".raw", ".dat", ".es"):
+        return "decoded"
+    if head.startswith((b"\x1f\x8b", b"PK\3\4", b"BZh", b"\xfd7zXZ")):
+        raise InputError(f"{path}: expected a recording, found a packed file; unpack it first")
     raise InputError(f"{path}: expected a recording ({READABLE}), found {suffix or 'a file without extension'}")
+
+
+def _is_table(head: bytes) -> bool:
+    """Whether a file begins as a table of at least four columns."""
+    coding = encoding_of(head)
+    if CONTROL.search(head) and coding != "utf-16":
+        return False
+    rows = [cells_of(line.strip("[]() \t"))[0] for line in head.decode(coding, "replace").splitlines()[:-1]]
+    return any(len(row) >= 4 and is_number(row[0]) for row in rows)

@@ -36,7 +36,7 @@ LIBRARIES = {  # what readers import; that takes a second, which is none of a fi
     "hdf5": ("h5py", "hdf5plugin"),
     "matlab": ("scipy.io",), "text": ("pandas",),
     "ros": ("rosbags.highlevel", "rosbags.typesys", "faery.extension"),
-    "picture": ("skimage.io", "imageio.v3", "tifffile"), "video": ("av",), "event_blocks": ("h5py", "hdf5plugin"),
+    "picture": ("imageio.v3", "tifffile"), "video": ("av",), "event_blocks": ("h5py", "hdf5plugin"),
 }  # fmt: skip
 
 

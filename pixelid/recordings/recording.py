@@ -15,6 +15,7 @@ from pixelid.stimuli.pixel_lights import Light, PixelLights
 from pixelid.stimuli.stimulus import Stimulus
 
 LATENCY_S = 1e-3
+MUCH_LONGER = 100.0  # events than light: units are 1000 apart
 
 
 @dataclass(frozen=True, repr=False)
@@ -104,7 +105,7 @@ class Recording:
         if t[0] * 1e-9 < start - LATENCY_S or (late and not _drains(t, t[np.searchsorted(t, last * 1e9) :])):
             raise InputError(
                 f"{self.source or self.name}: stimulus: expected to cover the events "
-                f"{t[0] * 1e-9:.10g}..{t[-1] * 1e-9:.10g} s, found {start:.10g}..{last:.10g} s"
+                f"{t[0] * 1e-9:.10g}..{t[-1] * 1e-9:.10g} s, found {start:.10g}..{last:.10g} s; {_way(t, last - start)}"
             )
 
     def within_stimulus(self) -> Recording:
@@ -130,6 +131,15 @@ class Recording:
             found = f"{light.size[0]} x {light.size[1]}"
             raise InputError(f"stimulus: expected light for {size[0]} x {size[1]} pixels, found {found}")
         return replace(self, stimulus=light)
+
+
+def _way(t: np.ndarray, light_s: float) -> str:
+    """What to do about events outside their light."""
+    if float(t[-1] - t[0]) * 1e-9 > MUCH_LONGER * light_s:
+        return "is the unit of either's times right (--time-unit)?"
+    return (
+        "if the light has its own clock, say where it starts: pixelid convert --align trigger|first-event|auto|SECONDS"
+    )
 
 
 def _kind_of(recording: Recording) -> str:

@@ -25,10 +25,11 @@ import numpy as np
 
 from pixelid.errors import InputError, first_line
 from pixelid.recordings.columns import Rollovers
-from pixelid.recordings.decoded import chosen, decode_evt
+from pixelid.recordings.decoded import decode_evt
 from pixelid.recordings.events import Events
 from pixelid.recordings.raw import Block, RawEvents
 from pixelid.recordings.recording import Recording
+from pixelid.recordings.rules import chosen_name
 from pixelid.recordings.source import ReadingOptions
 
 if TYPE_CHECKING:
@@ -57,13 +58,21 @@ def opened(path: Path, options: ReadingOptions) -> RawEvents:
             raise InputError(f"{path}: expected a topic of events ({PACKETS}, {record_types()[0]}), found {found}")
         every = list(dict.fromkeys(c.topic for c in topics))
         filled = list(dict.fromkeys(c.topic for c in topics if c.msgcount))
-        name = chosen(filled, every, options, path)
+        if len(filled) > 1 and options.stream is None:
+            filled = [topic for topic in filled if _has_events(bag, [c for c in topics if c.topic == topic], path)]
+        name = chosen_name(filled, every, options, str(path))
         mine = [c for c in topics if c.topic == name]
         messages = [bytes(data) for _, _, data in bag.messages(connections=mine)]
         cdr = bag.is2
     head = Recording(Events.empty(1, 1), source=path, attributes={"topic": name})
     raw = RawEvents(head, lambda: iter(()), f"{path}: events", polarity="01", streams=tuple(every[1:] and every))
     return (_packets if mine[0].msgtype == PACKETS else _records)(path, messages, cdr, raw)
+
+
+def _has_events(bag: AnyReader, topic: list, path: Path) -> bool:
+    """Whether any message of a topic holds events."""
+    read = _packet if topic[0].msgtype == PACKETS else _record_head
+    return any(read(_Message(bytes(data), bag.is2, path))[-1] for _, _, data in bag.messages(connections=topic))
 
 
 @contextmanager
@@ -134,18 +143,12 @@ def _packets(path: Path, messages: list[bytes], cdr: bool, raw: RawEvents) -> Ra
     size, encoding, payloads, numbers = (1, 1), "", [], []
     for data in messages:
         message = _Message(data, cdr, path)
-        message.skip_header()
-        height, width, number = message.number(4), message.number(4), message.number(8)
-        message.number(8)  # time_base: the payload says its own times
-        here = message.text()
-        if message.number(1) != 0:
-            raise InputError(f"{path}: is_bigendian: expected little-endian payloads, found big-endian")
-        encoding = encoding or here
-        if here != encoding:
-            raise InputError(f"{path}: encoding: expected {encoding!r} throughout, found {here!r}")
-        size = (width, height)
+        size, number, stated, length = _packet(message)
+        encoding = encoding or stated
+        if stated != encoding:
+            raise InputError(f"{path}: encoding: expected {encoding!r} throughout, found {stated!r}")
         numbers.append(number)
-        payloads.append(message.rest(message.number(4)))
+        payloads.append(message.rest(length))
     if encoding not in ("evt3", "libcaer"):
         raise InputError(f"{path}: encoding: expected evt3 or libcaer, found {encoding or 'no message'!r}")
     lost = sum(after - before - 1 for before, after in pairwise(numbers) if after > before + 1)
@@ -165,6 +168,17 @@ def _packets(path: Path, messages: list[bytes], cdr: bool, raw: RawEvents) -> Ra
     return replace(raw, head=head, blocks=blocks, unit="us", tick_ns=1000, size=size, notes=notes)
 
 
+def _packet(message: _Message) -> tuple[tuple[int, int], int, str, int]:
+    """((width, height), sequence number, encoding, bytes that follow) of an `EventPacket`."""
+    message.skip_header()
+    height, width, number = message.number(4), message.number(4), message.number(8)
+    message.number(8)  # time_base: the payload says its own times
+    encoding = message.text()
+    if message.number(1) != 0:
+        raise InputError(f"{message.path}: is_bigendian: expected little-endian payloads, found big-endian")
+    return (width, height), number, encoding, message.number(4)
+
+
 def _libcaer(payload: bytes, where: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """(t µs, x, y, p) of libcaer's polarity events, from the first event on, the clock's rollovers undone."""
     if len(payload) % LIBCAER.itemsize:
@@ -179,7 +193,8 @@ def _records(path: Path, messages: list[bytes], cdr: bool, raw: RawEvents) -> Ra
     """Events of `EventArray` messages; some drivers write those of a message in the order of their rows."""
     size, blocks, reordered = (0, 0), [], 0
     for data in messages:
-        size, found = record_columns(data, cdr, path)
+        stated, found = record_columns(data, cdr, path)
+        size = max(size[0], stated[0]), max(size[1], stated[1])
         if not found:
             continue
         t, x, y, p = (np.concatenate([part[k] for part in found]) for k in range(4))
@@ -208,12 +223,18 @@ def header_stamp(data: bytes, cdr: bool, path: Path) -> int:
 def record_columns(data: bytes, cdr: bool, path: Path) -> tuple[tuple[int, int], list[tuple[np.ndarray, ...]]]:
     """((width, height), columns (t ns, x, y, p) in one or two pieces) of an `EventArray` message."""
     message = _Message(data, cdr, path)
-    message.skip_header()
-    height, width, count = message.number(4), message.number(4), message.number(4)
+    size, count = _record_head(message)
     parts = _cdr_records(message, count) if cdr else [_ros1_records(message, count)]
-    return (width, height), [
+    return size, [
         (part["s"].astype(np.int64) * 1_000_000_000 + part["ns"], part["x"], part["y"], part["p"]) for part in parts
     ]
+
+
+def _record_head(message: _Message) -> tuple[tuple[int, int], int]:
+    """((width, height), number of events) of an `EventArray`."""
+    message.skip_header()
+    height, width, count = message.number(4), message.number(4), message.number(4)
+    return (width, height), count
 
 
 def _ros1_records(message: _Message, count: int) -> np.ndarray:

@@ -1,10 +1,10 @@
 """The rules by which what a file does not state is inferred; where two readings are possible and matter, they refuse.
 
-- Columns without names are in the one order that is consistent: p a polarity, whole x and y below 65536, x before y,
-  and t that increases (`t x y p` of most, Metavision's `x y p t`, …).
-- Times that are whole numbers, however written, are microseconds; with decimal fractions they are seconds, if two
-  events lie nearer than 0.001 or all within 100.  Whole thousands, and fractions of whole thousandths, may be counts of
-  another clock.
+- Columns without names are in the one order that is consistent: p a polarity, whole x and y below 65536, x before y
+  unless only the other fits the sensor, and t that increases (`t x y p` of most, Metavision's `x y p t`, …).
+- Times that are whole numbers, however written, are microseconds, if they span a millisecond and are no denser than
+  events are; with decimal fractions they are seconds, if two events lie nearer than 0.001 or all within 100.  Whole
+  thousands, and fractions of whole thousandths, may be counts of another clock.
 - Polarities 0 and 1 are OFF and ON, and so are −1 and 1.
 """
 
@@ -19,34 +19,47 @@ from typing import Any
 import numpy as np
 
 from pixelid.errors import InputError, shown
-from pixelid.recordings.source import OPTION
+from pixelid.recordings.source import OPTION, ReadingOptions
+from pixelid.time_units import TIMES, with_unit
 
 NAMES = {
-    "t": ("t", "ts", "time", "times", "timestamp", "timestamps"),
-    "x": ("x", "xs", "col", "column", "x_pos", "x_coordinate"),
-    "y": ("y", "ys", "row", "y_pos", "y_coordinate"),
-    "p": ("p", "ps", "pol", "pols", "polarity", "polarities", "on"),
-}
-IN_UNIT = re.compile(r"(\w+?)(?:[\s_]+|\s*[\[(])(ns|[uµμ]s|ms|s|sec|seconds)[\])]?")  # t_us, timestamp [ns]
+    "t": TIMES,
+    "x": ("x", "xs", "col", "column", "x_pos", "x_coordinate", "x_coord", "coord_x", "pixel_x", "x_pixel", "px",
+          "pix_x", "x_addr", "addr_x", "x_address", "u"),
+    "y": ("y", "ys", "row", "y_pos", "y_coordinate", "y_coord", "coord_y", "pixel_y", "y_pixel", "py",
+          "pix_y", "y_addr", "addr_y", "y_address", "v"),
+    "p": ("p", "ps", "pol", "pols", "polarity", "polarities", "on", "is_on", "on_off"),
+}  # fmt: skip
+IN_PIXELS = re.compile(r"(\w+?)(?:\s*[\[(]\s*|_)(?:px|pix|pixels?)[\])]?")  # x [px]
+WORDS = {"on": 1, "off": 0, "+": 1, "-": 0, "pos": 1, "neg": 0, "positive": 1, "negative": 0, "true": 1, "false": 0,
+         "t": 1, "f": 0}  # fmt: skip
 ORDERS = [o for o in map("".join, permutations("txyp")) if o.index("x") < o.index("y")]  # nobody writes y x
 ROWS = 1 << 12  # of columns without names, by which their order is inferred
 MOST_ADDRESS = 1 << 16
-ENOUGH = 16  # distinct times that all lie on a grid by chance: 1000⁻¹⁵
-MOST_EVENTS_PER_S = 1e9  # of the fastest readouts
-NEAR, SHORT = (
-    1e-3,
-    100.0,
-)  # of times with fractions: nearer than a nanosecond, were they µs; so few µs hold no recording
-FALLS_KEPT = 1000
+ENOUGH = 16  # events or distinct times that show something: all on a grid by chance in 1000⁻¹⁵
+MOST_PER_TICK = 10  # events a µs, on average: the fastest readouts do so in bursts
+LEAST_TICKS = 1000  # of whole numbers: so few µs hold no recording
+SHORT_TICKS, FULL = 100_000, 0.5  # and of a tenth of a second few hold so many events that half of the µs are taken
+# Times with fractions: nearer than a nanosecond, were they µs; so few µs hold no recording.
+NEAR, SHORT = 1e-3, 100.0
+TALL = 0.9  # columns over rows, of addresses that may be exchanged: sensors are as wide as high at least
+FALLS_KEPT, SHOWN_STREAMS = 1000, 8
 
 
 def column_name(name: str) -> tuple[str, str | None]:
-    """A column's plain name, and the unit that it states: `t [µs]` → t, us."""
-    name = name.strip().strip("'\"").partition("@")[0].strip().lower()  # faery writes x@346
-    parts = IN_UNIT.fullmatch(name)
-    if parts and parts[1] in NAMES["t"]:
-        return parts[1], {"µs": "us", "μs": "us", "sec": "s", "seconds": "s"}.get(parts[2], parts[2])
-    return name, None
+    """A column's plain name, and the unit that it states: `t [µs]` → t, us; `x [px]` → x."""
+    name, unit = with_unit(name.partition("@")[0])  # faery writes x@346
+    if unit is None and (found := IN_PIXELS.fullmatch(name)):
+        name = found[1]
+    return name, unit
+
+
+def numbers_of_words(column: np.ndarray) -> np.ndarray:
+    """(n,) polarities from a column of words, ON and OFF, + and −; any other column as it is."""
+    if column.dtype.kind not in "OU" or not {str(word).lower() for word in column[:ROWS]} <= set(WORDS):
+        return column
+    values = [WORDS.get(str(word).strip().lower()) for word in column]
+    return column if None in values else np.array(values, np.uint8)
 
 
 def named_columns(names: Sequence[str], columns: Sequence[str] = ()) -> tuple[list[int] | None, str | None]:
@@ -78,12 +91,43 @@ def named_columns(names: Sequence[str], columns: Sequence[str] = ()) -> tuple[li
     return order, plain[order[0]][1]
 
 
-def infer_order(sample: Sequence[np.ndarray], where: str) -> tuple[list[int], tuple[list[str], str]]:
+def chosen_name(filled: Sequence[str], every: Sequence[str], options: ReadingOptions, where: str) -> str:
+    """The stream that is stated, by its name or a part of its path; else the only one with events, else the first.
+
+    Args:
+        filled: streams with events.
+        every: all streams, one at least.
+        options: what the user states.
+        where: named in errors.
+
+    Raises:
+        InputError: one must be stated, or another is.
+    """
+    wanted = options.stream
+    if wanted is not None:
+        parts = {part for part in wanted.split("/") if part}
+        found = [name for name in every if name == wanted] or [n for n in every if parts <= set(n.split("/"))]
+        if len(found) != 1 or not parts:
+            raise InputError(f"{where}: --stream: expected one of {_listed(every)}, found {shown(wanted)}")
+        return found[0]
+    if len(filled) > 1:
+        raise InputError(f"{where}: several streams of events: {_listed(filled)}; {OPTION['stream']}")
+    return (filled or every)[0]
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names[:SHOWN_STREAMS]) + (" …" if len(names) > SHOWN_STREAMS else "")
+
+
+def infer_order(
+    sample: Sequence[np.ndarray], where: str, size: tuple[int | None, int | None] | None = None
+) -> tuple[list[int], tuple[list[str], str]]:
     """Where t, x, y, p are among four columns without names.
 
     Args:
         sample: the first rows of each.
         where: named in errors.
+        size: (width, height) of the sensor, as far as it is stated.
 
     Returns:
         Indices of t, x, y, p; the order in letters and why.
@@ -104,8 +148,27 @@ def infer_order(sample: Sequence[np.ndarray], where: str) -> tuple[list[int], tu
         found = f"{listed} are possible" if fitting else "no order of t, x, y, p fits"
         falls = "" if rising else ", and none has times that never fall: --clock sort, too"
         raise InputError(f"{where}: columns without names: {found}; {_way('columns')}{falls}")
-    order = fitting[0]
-    return [order.index(letter) for letter in "txyp"], (list(order), ": the only order that fits, x before y")
+    order, why = _by_shape(fitting[0], sample, size or (None, None), where)
+    return [order.index(letter) for letter in "txyp"], (list(order), why)
+
+
+def _by_shape(order: str, sample: Sequence[np.ndarray], size: tuple[int | None, int | None], where: str):
+    """The order, or the one with rows before columns where only that fits the sensor; and why.
+
+    Raises:
+        InputError: addresses that are higher than wide, on a sensor whose size is not stated.
+    """
+    wide, high = (int(sample[order.index(letter)].max()) + 1 for letter in "xy")
+    exchanged = order.translate(str.maketrans("xy", "yx"))
+    if size[0] and size[1]:
+        if (wide > size[0] or high > size[1]) and high <= size[0] and wide <= size[1]:
+            return exchanged, f": the only order within {size[0]} × {size[1]}"
+    elif wide < TALL * high and all(len(np.unique(sample[order.index(letter)])) >= ENOUGH for letter in "xy"):
+        raise InputError(
+            f"{where}: columns without names: {' '.join(order)} or {' '.join(exchanged)} are possible, as the first "
+            f"addresses reach {wide - 1}, the second {high - 1}; {_way('columns')}"
+        )
+    return order, ": the only order that fits, x before y"
 
 
 def _is_consistent(order: str, sample: Sequence[np.ndarray]) -> bool:
@@ -140,6 +203,7 @@ class Statistics:
     fall_count: int = 0
     falls: list[int] = field(default_factory=list)
     side: tuple[int, int] = (0, 0)
+    least: tuple[float, float] = (np.inf, np.inf)
     codes: set[float] = field(default_factory=set)
 
     def add(self, t: np.ndarray, x: np.ndarray, y: np.ndarray, p: np.ndarray, where: str) -> None:
@@ -169,6 +233,7 @@ class Statistics:
             max(self.side[0], int(np.nan_to_num(x.max())) + 1),
             max(self.side[1], int(np.nan_to_num(y.max())) + 1),
         )
+        self.least = min(self.least[0], float(x.min())), min(self.least[1], float(y.min()))
         self.codes |= set(np.unique(p).tolist()[:10])
         self.events, self.last = self.events + len(t), t[-1]
 
@@ -193,8 +258,12 @@ def infer_unit(s: Statistics, where: str) -> tuple[str, str]:
             raise _two_readings(where, "whole thousands", "µs of a millisecond clock or ns of a microsecond clock")
         if s.high >= 9.2e15:
             raise _two_readings(where, f"numbers up to {s.high:g}", "no µs that fit 64 bits in nanoseconds")
-        if s.events > 1000 and s.events > MOST_EVENTS_PER_S * 1e-6 * (s.high - s.low):
-            raise _two_readings(where, f"{s.events} events within {s.high - s.low:g}", "no readout is as fast in µs")
+        ticks = s.high - s.low + 1
+        if s.events >= ENOUGH and s.distinct and (ticks < LEAST_TICKS or s.events > MOST_PER_TICK * ticks):
+            found = f"{s.events} events within {s.high - s.low:g}"
+            raise _two_readings(where, found, "ms or s, as no recording is so short or dense in µs")
+        if s.events >= ENOUGH and ticks < SHORT_TICKS and s.distinct > FULL * ticks:
+            raise _two_readings(where, f"{s.events} events within {s.high - s.low:g}", "ms, or µs of a full readout")
         return "us", ": whole numbers"
     if gridded:
         raise _two_readings(where, "whole thousandths", "s of a millisecond clock or ms of a microsecond clock")

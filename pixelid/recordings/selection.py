@@ -38,7 +38,7 @@ def nearly_square(pixels: int) -> tuple[int, int]:
 
 
 def named_apart(recordings: Sequence[Recording]) -> list[Recording]:
-    """The recordings with a number behind every name that an earlier one has: names tell them apart in results."""
+    """The recordings with a number behind every name that an earlier one has: names distinguish them in results."""
     taken: set[str] = set()
     named = []
     for r in recordings:

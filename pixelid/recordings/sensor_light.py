@@ -6,10 +6,10 @@ units of Q per second, put at the window's middle.  Between samples log radiance
 first and after the last it is held.  A measurement that the next one breaks off has no end, and is left out.
 
 What that cannot say: the light between two samples.  It changed by about one threshold there, at a moment that only the
-event tells.  A likelihood integrates that out (`likelihood/light_between_samples.py`); fast poles and the dead time are
+event shows.  A likelihood integrates that out (`likelihood/light_between_samples.py`); fast poles and the dead time are
 not to be read from such a fit (`CAVEAT`).
 
-Files differ in which polarity is ON.  Here the measurements tell: light rises between the measurements before and after
+Files differ in which polarity is ON.  Here the measurements show: light rises between the measurements before and after
 an ON event.  Where it falls for most, polarities are exchanged, and the recording says so (`EXCHANGED`).
 """
 
@@ -83,9 +83,9 @@ def with_measured_light(recording: Recording) -> Recording:
 
 
 def _signs(events: Events, pixel: np.ndarray, middle_s: np.ndarray, radiance: np.ndarray) -> tuple[int, int]:
-    """(changes of light with the sign of their events, all that tell): between two measurements of a pixel.
+    """(changes of light with the sign of their events, all that show): between two measurements of a pixel.
 
-    Only events of one polarity between them tell.  Arguments as `measurements` returns them.
+    Only events of one polarity between them show.  Arguments as `measurements` returns them.
     """
     order = np.lexsort((events.t, events.pixel))
     span = 1.0 + max(float(events.t.max(initial=0)) * 1e-9, float(middle_s.max(initial=0.0)))

@@ -40,7 +40,7 @@ class SharedRate:
 
 @dataclass(frozen=True)
 class Case:
-    """A recording beside the light that its events follow; `events` None where they cannot be held against it.
+    """A recording with the light that its events follow; `events` None where they cannot be held against it.
 
     edges_s: trigger edges at the light's moments `moments_s`, first and perhaps last;  stamp_s: their standard error
     """
@@ -109,7 +109,8 @@ def _other_hypotheses(
     recording: Recording, own: Light, recordings: Sequence[Recording], lights: Sequence[Light]
 ) -> list[tuple[EventAlignment, Light, str, int]]:
     """(events, light, its recording's name, polarity) that are followed; exchanged polarity alone where it explains."""
-    exchanged = _events(recording, own, -1)
+    both = 0 < np.count_nonzero(recording.events.p) < len(recording.events)
+    exchanged = _events(recording, own, -1) if both else None  # events of one polarity follow an edge of either kind
     if exchanged is not None and _explains(exchanged):
         return [(exchanged, own, recording.name, -1)]
     others = [(correlation(recording, light), k) for k, light in enumerate(lights) if light is not own]

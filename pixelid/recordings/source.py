@@ -1,7 +1,7 @@
 """What a recording's file states, what was inferred of it by which rule, and what its user states instead.
 
 A file leaves things out: the order of its columns, the unit of its times, the size of the sensor, which of several
-streams is meant.  `ReadingOptions` states them: in Python, on the command line, or in `NAME.source.toml` beside the
+streams is meant.  `ReadingOptions` states them: in Python, on the command line, or in `NAME.source.toml` next to the
 file.  `Source` is the record of how each was settled; it stays with the recording (`attributes["source"]`).
 """
 
@@ -31,7 +31,8 @@ LARGEST, EMPTY = " from the largest address", ", as there are no events"  # size
 SENSOR_SIZES = {
     "DAVIS240": (240, 180), "DAVIS346": (346, 260), "DAVIS640": (640, 480), "DVS128": (128, 128),
     "DVXPLORERLITE": (320, 240), "DVXPLORERMICRO": (640, 480), "DVXPLORER": (640, 480), "ATIS": (304, 240),
-    "GEN1": (304, 240), "GEN3": (640, 480), "GEN4": (1280, 720), "IMX636": (1280, 720), "IMX637": (640, 512),
+    "GEN1": (304, 240), "GEN3": (640, 480), "GEN4": (1280, 720), "IMX636": (1280, 720), "IMX646": (1280, 720),
+    "IMX637": (640, 512), "IMX647": (640, 512),
     "GENX320": (320, 320), "EVK4": (1280, 720), "CELEX4": (768, 640), "CELEX5": (1280, 800),
 }  # fmt: skip
 
@@ -184,7 +185,7 @@ def _words(value: Any) -> str:
 
 NOTHING = ReadingOptions()
 _STATED: ContextVar[ReadingOptions] = ContextVar("reading options", default=NOTHING)
-_SAY: ContextVar[Callable[[str], object] | None] = ContextVar("told of what is inferred", default=None)
+_SAY: ContextVar[Callable[[str], object] | None] = ContextVar("hears what is inferred", default=None)
 
 
 @contextmanager

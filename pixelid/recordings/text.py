@@ -1,10 +1,11 @@
 """Recordings as text: one event per line, in the dialects that programs write.
 
-Cells are apart by spaces, commas, semicolons or tabs; numbers may have decimal commas where commas are not the mark.
-Lines that begin with `#`, `%` or `//` are comments, of which the last before the numbers may name the columns
-(`# x y t[ms] p`), and any may state the sensor's size (`%geometry:1280,720`).  A line of names may say the order of the
-columns and the unit of the times (`t_us`, `timestamp [ns]`); a first line of two numbers is E2VID's width and height.
-Everything else is inferred (`rules`).  The project's own files carry a line `# {JSON}` with everything else, and the
+Cells are apart by spaces, commas, semicolons or tabs; numbers may have decimal commas, in quotes where commas are the
+mark.  Lines that begin with `#`, `%` or `//` are comments, of which the last before the numbers may name the columns
+(`# x y t[ms] p`), and any may state the sensor's size or name (`%geometry:1280,720`, `# DAVIS346`) and the unit of the
+times.  A line of names may say the order of the columns and the unit of the times (`t_us`, `timestamp [ns]`), a line
+of units may follow it; a first line of two numbers is E2VID's width and height.  Everything else is inferred
+(`rules`).  The project's own files carry a line `# {JSON}` with everything else, and the
 stimulus in `# stimulus {JSON}`.
 """
 
@@ -21,20 +22,22 @@ from typing import Any
 
 import numpy as np
 
-from pixelid.delimited import COMMENTS, DECIMAL_COMMA, NUMBER, SPACES, cells_of, encoding_of
+from pixelid.delimited import COMMENTS, DECIMAL_COMMA, HEAD_BYTES, NUMBER, SPACES, cells_of, encoding_of
 from pixelid.errors import InputError, first_line, shown
 from pixelid.recordings import metadata
 from pixelid.recordings.events import NS_PER_UNIT, Events
 from pixelid.recordings.parts import LongRecording, cut
 from pixelid.recordings.raw import Block, RawEvents
 from pixelid.recordings.recording import Recording
-from pixelid.recordings.rules import ROWS, infer_order, named_columns
-from pixelid.recordings.source import ReadingOptions
+from pixelid.recordings.rules import ROWS, infer_order, named_columns, numbers_of_words
+from pixelid.recordings.source import ReadingOptions, size_of_chip
 from pixelid.stimuli.pixel_lights import PixelLights
+from pixelid.time_units import UNIT_OF, plain, unit_in
 
 LINES_AT_ONCE = 1 << 19
 SIZE = re.compile(r"(?:geometry|size|resolution|sensor)\W+(\d{1,5})\s*[x×, ;]\s*(\d{1,5})", re.I)
-SIDES = re.compile(r"\b(width|height)\W{1,3}(\d{1,5})\b", re.I)
+SIDES = re.compile(r"\b(?:(width)|(height)|(W)|(H))\W{1,3}(\d{1,5})\b", re.I)
+BRACKETS = str.maketrans("[]()", "    ")  # of rows that are written as Python shows them
 
 
 @dataclass
@@ -44,6 +47,8 @@ class _Header:
     meta: dict[str, Any] = field(default_factory=dict)
     light: dict[str, np.ndarray] | None = None
     names: list[str] | None = None
+    unit: str | None = None
+    chip: tuple[tuple[tuple[int, int], str], ...] = ()
     size: tuple[int | None, int | None] = (None, None)
     lines: int = 0
     first: str | None = None
@@ -59,7 +64,7 @@ def opened(path: Path, options: ReadingOptions) -> RawEvents:
         header = _header(path)
         sample = next(_frames(path, header, where, ROWS), None)
     order, unit, inferred = _order(sample, header, options, where)
-    unit = unit or header.meta.get("unit")
+    unit = unit or header.meta.get("unit") or header.unit
     if unit is not None and unit not in NS_PER_UNIT:
         raise InputError(f"{where}/t: expected unit {' or '.join(NS_PER_UNIT)}, found {unit!r}")
     floating = sample is not None and sample[order[0]].dtype.kind == "f"
@@ -71,7 +76,7 @@ def opened(path: Path, options: ReadingOptions) -> RawEvents:
                 yield Block.of(columns[k] for k in order)
 
     head = metadata.assemble(header.meta, Events.empty(1, 1), header.light, path, str(path))
-    return RawEvents(head, blocks, where, unit, tick_ns, size=header.size, inferred=inferred,
+    return RawEvents(head, blocks, where, unit, tick_ns, size=header.size, likely_sizes=header.chip, inferred=inferred,
                      polarity="01" if header.meta else None)  # fmt: skip
 
 
@@ -86,7 +91,7 @@ def _text(path: Path) -> Iterator[None]:
 def _header(path: Path) -> _Header:
     """What stands before the first line of numbers."""
     with path.open("rb") as file:
-        header = _Header(encoding=encoding_of(file.read(2)))
+        header = _Header(encoding=encoding_of(file.read(HEAD_BYTES)))
     comment = ""
     with path.open(encoding=header.encoding) as file:
         for line in file:
@@ -98,33 +103,47 @@ def _header(path: Path) -> _Header:
                 header.light = _light(text[len("# stimulus ") :], f"{path}: stimulus")
             elif text.startswith(COMMENTS):
                 comment = text.lstrip("#%/ \t")
-                _note_size(header, comment)
+                _note(header, comment)
                 if named_columns(names := cells_of(comment.rpartition(":")[2].strip())[0])[0] is not None:
                     header.names = names
             elif text:
-                cells, mark = cells_of(text)
+                cells, mark = cells_of(text.translate(BRACKETS).strip() if text[0] in "[(" else text)
                 if not any(NUMBER.fullmatch(cell) for cell in cells):
-                    header.names = cells if cells[-1] else cells[:-1]
-                    sides = {cell[0]: int(cell[2:]) for cell in cells if re.fullmatch(r"[xy]@\d{1,5}", cell)}
-                    if len(sides) == 2:
-                        header.size = sides["x"], sides["y"]
-                elif len(cells) == 2 and mark == SPACES and header.names is None and all(map(str.isdecimal, cells)):
+                    _note_names(header, cells if cells[-1] else cells[:-1])
+                elif len(cells) == 2 and header.names is None and all(map(str.isdecimal, cells)):
                     header.size = int(cells[0]), int(cells[1])
                 else:
                     header.first, header.mark = text, mark
-                    if mark != "," and any(DECIMAL_COMMA.fullmatch(cell) for cell in cells):
+                    if any(DECIMAL_COMMA.fullmatch(cell) for cell in cells):
                         header.decimal = ","
                     return header
             header.lines += 1
     return header
 
 
-def _note_size(header: _Header, comment: str) -> None:
+def _note(header: _Header, comment: str) -> None:
+    """What a comment states of the sensor and of the times."""
+    header.unit = header.unit or unit_in(comment)
     if header.size == (None, None) and (found := SIZE.search(comment)):
         header.size = int(found[1]), int(found[2])
-    for side, number in SIDES.findall(comment):
-        k = 0 if side.lower() == "width" else 1
+    for *sides, number in SIDES.findall(comment):
+        k = 0 if sides[0] or sides[2] else 1
         header.size = tuple(int(number) if i == k else old for i, old in enumerate(header.size))  # type: ignore[assignment]
+    for word in re.findall(r"[A-Za-z][\w-]{4,}", comment):
+        if (size := size_of_chip(word)) is not None:
+            header.chip = ((size, f" of the sensor ({word[:20]})"),)
+
+
+def _note_names(header: _Header, cells: list[str]) -> None:
+    """Names of columns, or the units of those that are named in the line before."""
+    units = [UNIT_OF.get(plain(cell).strip("[]()")) for cell in cells]
+    if header.names is not None and len(cells) == len(header.names) and any(units):
+        header.names = [f"{name} [{unit}]" if unit else name for name, unit in zip(header.names, units, strict=True)]
+        return
+    header.names = cells
+    sides = {cell[0]: int(cell[2:]) for cell in cells if re.fullmatch(r"[xy]@\d{1,5}", cell)}
+    if len(sides) == 2:
+        header.size = sides["x"], sides["y"]
 
 
 def _order(sample, header: _Header, options: ReadingOptions, where: str):
@@ -147,7 +166,7 @@ def _order(sample, header: _Header, options: ReadingOptions, where: str):
         return order, unit, ()
     if sample is None:
         return [0, 1, 2, 3], None, ()
-    order, inferred = infer_order(sample, where)
+    order, inferred = infer_order(sample, where, options.size or header.size)
     return order, None, (("columns", inferred),)
 
 
@@ -161,13 +180,15 @@ def _frames(path: Path, header: _Header, where: str, rows: int) -> Iterator[list
     try:
         with path.open(encoding=header.encoding) as file:
             lines = (line for line in islice(file, header.lines, None) if not line.lstrip().startswith(COMMENTS))
+            if header.first[0] in "[(":
+                lines = (line.translate(BRACKETS).strip() + "\n" for line in lines)
             source: Any = _Lines(lines)
             with pandas.read_csv(
                 source, sep=header.mark, header=None, decimal=header.decimal, chunksize=rows,
                 float_precision="round_trip", skipinitialspace=True, na_filter=False, low_memory=False,
             ) as frames:  # fmt: skip
                 for frame in frames:
-                    columns = [frame[name].to_numpy() for name in frame]
+                    columns = [numbers_of_words(frame[name].to_numpy()) for name in frame]
                     for k, column in enumerate(columns):
                         if column.dtype.kind not in "iufb":
                             columns[k] = _numbers(column, f"{where}: column {k}", done)

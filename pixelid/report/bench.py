@@ -69,7 +69,7 @@ def summarise(result: Result, folder: Path) -> Summary:
 
 
 def prepare(result: Result, folder: Path) -> dict[str, Any]:
-    """What the template shows beside the JSON."""
+    """What the template shows in addition to the JSON."""
     shown = quantities(result["parameters"])
     start, truth = result["start"], read_truth(folder, result)
     added = list(dict.fromkeys(q.effect for q in shown if q.effect and q.parameter not in start))

@@ -1,4 +1,4 @@
-"""How numbers stand on a page: as many digits as are known, units beside them."""
+"""How numbers stand on a page: as many digits as are known, units next to them."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def counted(many: int, noun: str) -> str:
 
 
 def chance(p: float | None) -> str:
-    """A probability to two digits; one too small to tell from nothing as a bound.
+    """A probability to two digits; one too small to distinguish from nothing as a bound.
 
     >>> chance(0.0123), chance(0.0)
     ('0.012', '< 10⁻¹⁵')

@@ -77,7 +77,7 @@ def _what_it_does(name: str) -> str:
 
 
 def _tried(result: Result) -> list[list[str]]:
-    """Round by round, every effect tried, the most promising first: quick look, fit, held-out data, what was said."""
+    """Round by round, every effect tried, the most promising first: quick look, fit, held-out data, what was stated."""
     rows = []
     for entry in result["rounds"]:
         fitted = {c["name"]: c for c in entry["candidates"]}

@@ -81,7 +81,7 @@ def _leak_or_noise(conditions: list[Result]) -> str:
         f"{what} at {', '.join(f'{lux:g}' for lux in lights[kind])} lux"
         for kind, what in (("regular", "a leak"), ("irregular", "noise")) if lights[kind]
     ]  # fmt: skip
-    return sentence(" and ".join(said)).rstrip(".") if said else "Too few events to tell leak from noise"
+    return sentence(" and ".join(said)).rstrip(".") if said else "Too few events to separate leak from noise"
 
 
 def _worries(result: Result) -> list[str]:

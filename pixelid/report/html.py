@@ -36,7 +36,7 @@ def write_report(folder: Path, command: str | None = None) -> Path:
 
     Args:
         folder: of any result: fit, gap, lowlight, design, rates, flicker, reconstruct, inspect, compare, sensor.
-        command: the command line that made the result, kept beside it; by default the one that runs, if one does.
+        command: the command line that made the result, kept next to it; by default the one that runs, if one does.
             Empty: what is kept already stays.
 
     Returns:

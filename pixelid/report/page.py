@@ -21,9 +21,9 @@ TONES = {
 VERDICTS = {
     "converged": "Converged", "misfit": "Misfit: the model does not describe the data",
     "at_bound": "A parameter sits on its bound", "not_identified": "Not identified", "not_converged": "Not converged",
-    "diverged": "Diverged", "interrupted": "Interrupted", "none": "No gap: the model describes the recordings",
-    "named": "The gap has a name", "ambiguous": "Several effects explain the gap equally well",
-    "unknown": "A gap remains that no known effect explains",
+    "diverged": "Diverged", "interrupted": "Interrupted", "none": "Nothing missing: the model describes the recordings",
+    "named": "Missing effect named", "ambiguous": "Several effects explain the data equally well",
+    "unknown": "Something is missing that no known effect explains",
 }  # fmt: skip
 
 

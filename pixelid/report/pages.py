@@ -16,6 +16,7 @@ PAGES = (
     Page("rates.json", "rates.html", tables.summarise_rates),
     Page("latency.json", "latency.html", tables.summarise_latency),
     Page("noise.json", "noise.html", tables.summarise_noise),
+    Page("biases.json", "biases.html", tables.summarise_biases, tables.prepare_biases),
     Page("flicker.json", "flicker.html", tables.summarise_flicker, tables.prepare_flicker),
     Page("reconstruction.json", "reconstruction.html", scene.summarise, scene.prepare),
     Page("dataset.json", "dataset.html", scene.summarise_dataset, scene.prepare_dataset),

@@ -85,7 +85,7 @@ def _gap(gap: dict) -> dict[str, Any]:
         else ""
     )
     sentence = (
-        f"{names}: of the loss of held-out events under the pixel as told, {100 * gap['heldout_gain']:.0f} % is "
+        f"{names}: of the loss of held-out events under the stated pixel, {100 * gap['heldout_gain']:.0f} % is "
         f"explained with what was found.{views} The final training moves the strengths on."
     )
     return {"rows": rows, "kept": bool(names), "sentence": sentence, "hot": hot, "least": f"{100 * LEAST_SHARE:.0f} %"}

@@ -67,6 +67,52 @@ def summarise_noise(result: Result, folder: Path) -> Summary:
     )
 
 
+def summarise_biases(result: Result, folder: Path) -> Summary:
+    laws = result["quantities"]
+    fitted = {name: law for name, law in laws.items() if "rivals" in law}
+    rows = [row for law in laws.values() for row in law["rows"] if row["measured"] is not None]
+    held = [
+        law["rivals"][0]["heldout_median"] for law in fitted.values() if law["rivals"][0]["heldout_rms"] is not None
+    ]
+    return Summary(
+        "biases",
+        f"{', '.join(laws) or 'Thresholds'} against bias codes",
+        result["status"],
+        result["advice"],
+        (
+            Number("laws", str(len(laws)), "" if fitted else "evaluated"),
+            Number("rows", str(len(rows))),
+            Number("outliers", str(sum(abs(row["standardised"] or 0.0) > 4 for row in rows))),
+            Number("settings left out missed by", percent(max(held)) if held else "–", "median, worst quantity"),
+            Number("time taken", seconds(result["seconds"])),
+        ),
+        command_line("biases", result, out=folder),
+    )
+
+
+def prepare_biases(result: Result, folder: Path) -> dict[str, Any]:
+    from pixelid.outputs import file_name
+    from pixelid.tables.biases.result import PREDICTION_HEADINGS, prediction_rows
+
+    def left_out(one: Result) -> list[str]:
+        errors = (one["heldout_median"], one["heldout_rms"])
+        return ["–" if error is None else percent(error) for error in errors]
+
+    def rivals(law: Result) -> list[list[str]]:
+        return [
+            [one["law"], str(one["coordinates"]), f"{one['bic']:.1f}", percent(one["weight"]),
+             percent(one["relative_scatter"]), *left_out(one)]
+            for one in law.get("rivals", ())
+        ]  # fmt: skip
+
+    return {
+        "laws": [(name, file_name(name), law, rivals(law)) for name, law in result["quantities"].items()],
+        "rival_headings": ("law", "parameters", "ΔBIC", "weight", "scatter", "settings left out, median", "rms"),
+        "prediction_headings": PREDICTION_HEADINGS,
+        "predictions": prediction_rows(result),
+    }
+
+
 def summarise_flicker(result: Result, folder: Path) -> Summary:
     frequency, groups = result["frequency_hz"], result["groups"]
     locked = sum(g["amplitude_over_on_threshold"]["identified"] and g["phase_cycles"]["identified"] for g in groups)

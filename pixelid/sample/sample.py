@@ -120,7 +120,7 @@ def sample(
 def _pilot(target: Target, proposal: Proposal, ensembles: int, walkers: int, seed: int):
     """(starts (ensembles, walkers, d), trust in the proposal, what the pilot found).
 
-    The starts are draws of the proposal, wider than the posterior; their importance ratios tell how good it is.
+    The starts are draws of the proposal, wider than the posterior; their importance ratios show how good it is.
     """
     rng = np.random.RandomState([seed, 20240711])
     need = ensembles * walkers

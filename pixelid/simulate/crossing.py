@@ -67,7 +67,7 @@ def _cubic_root(h, ga, sa, gb, sb):
 def _root(xa, ga, sa, xb, gb, sb, K, sign, step, chain, reset, threshold, rate):
     """The root of g in [xa, xb], g(xa) < 0 ≤ g(xb): of cubics through ever closer values of the closed form.
 
-    A cubic through [xa, xb] errs by about K (x − xa)² (x − xb)².  Each value found tells K; the loop ends when the
+    A cubic through [xa, xb] errs by about K (x − xa)² (x − xb)².  Each value found gives K; the loop ends when the
     error of the root is below ACCURACY_S.
     """
     for _ in range(60):

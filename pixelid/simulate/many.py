@@ -3,7 +3,7 @@
 The search is that of `crossing.py`, for pixels without leak or drift: one cubic through the step's ends, compared with
 the closed form once inside, brackets the crossing, and ever closer cubics find it.  Where anything else happens (both
 thresholds within reach, a hump, a cubic that the step does not follow, a crossing not found in `ROUNDS`), the pixel is
-left to `comparator.events_in_step`, which begins anew.  Rows are those of `dynamics.blocks`, for the steps from the
+left to `comparator.events_in_step`, which begins again.  Rows are those of `dynamics.blocks`, for the steps from the
 beginning to the time looked at, and those below; one column per pixel searched.
 """
 

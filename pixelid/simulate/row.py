@@ -1,4 +1,4 @@
-"""Sensors of any number of pixels, told apart by their place in a row."""
+"""Sensors of any number of pixels, distinguished by their place in a row."""
 
 from __future__ import annotations
 

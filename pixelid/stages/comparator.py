@@ -66,6 +66,7 @@ class ThresholdDrift(Effect):
     equation = "C(t) = C (1 + d t)"
     source = "docs/model.md: to first order in time"
     parameters = (Parameter("threshold_drift.per_s", 0.05, "1/s", -10.0, 10.0, "linear"),)
+    on_boundary = False
 
     def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
         return circuit.with_(threshold_drift=values["threshold_drift.per_s"])
@@ -78,6 +79,7 @@ class PolarityMemory(Effect):
     equation = "C_i,p → C_i,p (1 + strength · p · p_before), σ C_i,p as before; first event: C_i,p"
     source = "docs/model.md: what an event leaves behind moves the next threshold, to first order"
     parameters = (Parameter("polarity_memory.strength", 0.05, "1", -0.5, 0.5, "linear"),)
+    on_boundary = False
 
     def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
         return circuit.with_(polarity_memory=values["polarity_memory.strength"])
@@ -117,6 +119,7 @@ class HotPixels(Effect):
         Parameter("hot_pixels.rate_hz", 100.0, "Hz", 1e-3, 1e6, "log"),
         Parameter("hot_pixels.count", 1.0, "pixels", 0.0, 1e7, "linear", free=False),
     )
+    in_event_times = False
 
     def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
         return circuit.with_(hot_hz=values["hot_pixels.rate_hz"], hot_count=round(values["hot_pixels.count"]))

@@ -94,6 +94,7 @@ class Described(Effect):
     """
 
     source = "fitted: an equation that closes part of a gap, not a mechanism"
+    on_boundary = False
 
     def __init__(self, quantity: str, covariate: str, form: str) -> None:
         self.quantity, self.covariate, self.form = quantity, covariate, form

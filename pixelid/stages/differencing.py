@@ -30,6 +30,8 @@ class DifferencingPole(Effect):
     equation = "d yd/dt = ωd (ysf − yd), restarted from ysf at release"
     source = "Low & Lee, arXiv 2409.17988 (16 kHz: DVS128 reference simulator)"
     parameters = (Parameter("diff_cutoff_hz", 16000.0, "Hz", 1e-1, 1e8, "log"),)
+    vanishes_at = math.inf
+    trades_places = True
 
     def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
         return circuit.with_(differencing=2.0 * math.pi * values["diff_cutoff_hz"])

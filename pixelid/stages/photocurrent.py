@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import ClassVar
 
 import numpy as np
 
@@ -31,6 +32,7 @@ class ShotNoise(Effect):
     equation = "white noise on ln L before the photoreceptor, one-sided PSD = density / L (density = 2q, current units)"
     source = "Graça, McReynolds & Delbruck, CVPRW 2023 (2qI)"
     parameters = (Parameter("shot_noise.density", 3.2e-4, "radiance/Hz", 1e-12, 1e3, "log"),)
+    in_event_times = False
 
     def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
         return circuit.with_(shot_density=values["shot_noise.density"])
@@ -48,6 +50,12 @@ class MainsFlicker(Effect):
         Parameter("mains_flicker.phase_rad", 0.0, "rad", -4 * math.pi, 4 * math.pi, "linear"),
     )
     starts_anew = ("mains_flicker.phase_rad",)
+    on_boundary = False  # amplitude and phase: every direction from 0 is a flicker
+    tried_with: ClassVar = {
+        "mains_flicker.frequency_hz": (100.0, 120.0),
+        "mains_flicker.phase_rad": (0.0, 0.5 * math.pi, math.pi, 1.5 * math.pi),
+    }
+    periodic = True
 
     def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
         return circuit.with_(
@@ -64,6 +72,7 @@ class LightSpread(Effect):
     equation = "L_i = L e^{σ ξ_i}, ξ_i standard normal, one for each pixel"
     source = "docs/model.md: a log-normal spread of the light over the pixels that are pooled"
     parameters = (Parameter("light_spread.sigma", 0.5, "1", 1e-3, 3.0, "log"),)
+    in_event_times = False
 
     def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
         return circuit.with_(light_spread=values["light_spread.sigma"])
@@ -82,6 +91,10 @@ class LinearLog(Effect):
         Parameter("linear_log.knee", 20.0, "radiance", 1e-6, 1e6, "log"),
         Parameter("linear_log.slope", 1.0, "1", 1e-2, 1e2, "log", free=False),
     )
+    # below the knee, of the logarithm's slope at it: without a kink, and as in v2e
+    tried_with: ClassVar = {"linear_log.slope": (1.0, math.log(20.0))}
+    # a knee below all light does nothing, one too high much harm
+    decades = tuple(d / 8.0 for d in range(-16, 13))
 
     def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
         return circuit.with_(knee=values["linear_log.knee"], knee_slope=values["linear_log.slope"])

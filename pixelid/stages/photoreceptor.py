@@ -7,6 +7,7 @@ In low light (τ_out ≪ τ_in + τ_mil) one pole at ωc = (α/β) L remains.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 from pixelid.errors import InputError
@@ -53,6 +54,7 @@ class SecondOrderPhotoreceptor(Effect):
     equation = "y'' + (β + γL) y' + αL y = αL ln L instead of y' = (α/β) L (ln L − y)"
     source = "Low & Lee, arXiv 2409.17988, supplement"
     parameters = SECOND_ORDER
+    vanishes_at = math.inf
 
     def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
         return apply("second_order", circuit, values)
@@ -66,6 +68,7 @@ class BandwidthFloor(Effect):
     source = "Hu, Liu & Delbruck, CVPRW 2021, arXiv 2006.07722 (v2e: low-pass of corner ∝ L + 20 of 255 grey levels)"
     parameters = (Parameter("bandwidth_floor.radiance", 20.0, "radiance", 1e-6, 1e6, "log"),)
     photoreceptors = ("second_order", "one_pole")
+    trades_places = True
 
     def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
         if circuit.photoreceptor not in self.photoreceptors:

@@ -28,6 +28,7 @@ class ReadoutLatency(Effect):
     equation = "departure_k = max(arrival_k, departure_{k−1}) + service_s, first come first served"
     source = "Finateu et al., ISSCC 2020 (shared readout of an array); docs/model.md"
     parameters = (Parameter("readout_latency.service_s", 1e-6, "s", 1e-10, 1e-1, "log"),)
+    in_event_times = False
 
     def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
         return circuit.with_(service=values["readout_latency.service_s"])
@@ -52,6 +53,7 @@ class TimestampQuantisation(Effect):
     equation = "t → tick · round(t / tick)"
     source = "docs/model.md: the clock of the time stamp"
     parameters = (Parameter("timestamp_quantisation.tick_s", 1e-6, "s", 1e-9, 1e-1, "log", free=False),)
+    in_event_times = False
 
     def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
         return circuit.with_(tick=values["timestamp_quantisation.tick_s"])

@@ -17,6 +17,8 @@ class SourceFollowerPole(Effect):
     equation = "d ysf/dt = ωsf (y − ysf)"
     source = "Low & Lee, arXiv 2409.17988 (3122 Hz: DVS128 reference simulator)"
     parameters = (Parameter("sf_cutoff_hz", 3122.0, "Hz", 1e-2, 1e7, "log"),)
+    vanishes_at = math.inf
+    trades_places = True
 
     def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
         return circuit.with_(follower=2.0 * math.pi * values["sf_cutoff_hz"])
@@ -29,6 +31,9 @@ class ExtraPole(Effect):
     equation = "d ye/dt = ωe (ysf − ye)"
     source = "docs/model.md: a chain of poles behind the photoreceptor"
     parameters = (Parameter("extra_pole.cutoff_hz", 1500.0, "Hz", 1e-2, 1e7, "log"),)
+    vanishes_at = math.inf
+    tried_after = ("source_follower_pole", "differencing_pole")
+    trades_places = True
 
     def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
         return circuit.with_(extra_pole=2.0 * math.pi * values["extra_pole.cutoff_hz"])
@@ -44,6 +49,8 @@ class SlewLimit(Effect):
         Parameter("slew_limit.rise_per_s", 3000.0, "1/s", 1e-2, 1e9, "log"),
         Parameter("slew_limit.fall_per_s", 3000.0, "1/s", 1e-2, 1e9, "log"),
     )
+    vanishes_at = math.inf
+    requires = ("source_follower_pole", "differencing_pole")
 
     def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
         return circuit.with_(slew_rise=values["slew_limit.rise_per_s"], slew_fall=values["slew_limit.fall_per_s"])

@@ -1,7 +1,7 @@
 """How a sampled light runs between its samples: cubic splines from kink to kink.
 
 A spline rings around a corner that lies between two samples, and a straight line cuts it.  Where the second
-differences of log radiance stand out on the two samples around an interval, against the ones beside them, the course
+differences of log radiance stand out on the two samples around an interval, against the ones next to them, the course
 has a corner inside that interval; both sides are continued to where they meet (subcell resolution: Harten 1989,
 J. Comput. Phys. 83, 148).  Sides that do not meet inside are joined by a straight line: the light jumped.
 """

@@ -57,7 +57,7 @@ class Drive:
 
 @dataclass(frozen=True)
 class StackedDrive(Drive):
-    """The drives of several lights, one after the other: time starts anew with each.
+    """The drives of several lights, one after the other: time starts again with each.
 
     first: (lights + 1,) where the samples of each begin, and where the last ones end
     """

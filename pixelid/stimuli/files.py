@@ -7,7 +7,7 @@
     start_s = 0.2            when it begins (0 if left out)
 
 or `kind = "samples"` with lists `t` (seconds) and `radiance`, or `kind = "file"` with the `path` of a table, array,
-video or folder of frames beside the description.  Both take `unit`; frames also `fps`, `gamma`, `interpolation`,
+video or folder of frames next to the description.  Both take `unit`; frames also `fps`, `gamma`, `interpolation`,
 `full_scale`, `background` (`frames.py`), tables `columns` (`light_tables.py`), both `time_unit`.
 """
 
@@ -22,7 +22,7 @@ import numpy as np
 from pixelid.documents import interpreting, is_number, read_toml
 from pixelid.errors import InputError, did_you_mean, shown
 from pixelid.stimuli.frames import VIDEOS, FrameOptions, holds_pictures
-from pixelid.stimuli.light_tables import Stated, is_light_table
+from pixelid.stimuli.light_tables import Stated, is_light_table, is_text
 from pixelid.stimuli.pixel_lights import Light
 from pixelid.stimuli.sampled import TABLES, read_light
 from pixelid.stimuli.shapes import SHAPES
@@ -54,7 +54,7 @@ def load_stimulus(spec: str | Path, also: Sequence[str] = ()) -> Light:
         raise InputError(f"no stimulus {text!r}: expected a file, or a folder of pictures")
     if path.is_dir() or suffix == ".npy" or suffix in VIDEOS:
         return read_light(path)
-    if (suffix in TABLES and is_light_table(path)) or (suffix == ".npz" and _holds_light(path)):
+    if ((suffix in TABLES or is_text(path)) and is_light_table(path)) or (suffix == ".npz" and _holds_light(path)):
         return read_light(path)
     from pixelid.recordings import open_recording
 

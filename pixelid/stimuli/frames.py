@@ -16,9 +16,11 @@ from pathlib import Path
 
 import numpy as np
 
-from pixelid.delimited import cells_of, is_number
+from pixelid.delimited import COMMENTS, cells_of, is_number
+from pixelid.documents import read_text
 from pixelid.errors import InputError, shown
 from pixelid.parallel import memory_bytes
+from pixelid.stimuli.light_times import seconds
 from pixelid.stimuli.stimulus import INTERPOLATIONS, Stimulus
 
 VIDEOS = (".mp4", ".avi", ".mov", ".mkv", ".webm")
@@ -26,8 +28,9 @@ PICTURES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".exr")
 DISPLAY_GAMMA = 2.2  # of a display or a camera's pictures; sRGB differs from it by at most 4 % of full scale
 GAMMAS, BACKGROUNDS = ("linear", "display"), {"black": 0.0, "white": 1.0}
 REC_709 = np.array([0.2126, 0.7152, 0.0722])
-STAMPS = ("timestamps.txt", "timestamps.csv", "times.txt")
-SECONDS_PER = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+STAMPS = re.compile(r".*(time|stamp).*\.(txt|csv)|images\.(txt|csv)", re.I)
+TIME_UNITS = ("s", "ms", "us", "ns")
+FEWER_BITS = (10, 12, 14)  # of cameras whose levels are stored in 16
 FLOAT_STEP = 1 / 65535  # of pictures of floating numbers, where they hold zero
 
 
@@ -42,7 +45,7 @@ class FrameOptions:
         interpolation: "previous" holds each frame until the next, "linear" runs between them.
         full_scale: level of full light; None: by the type of the pictures.
         background: what transparent parts show, "black" or "white".
-        time_unit: of the times in a file, "s", "ms", "us" or "ns".
+        time_unit: of the times in a file, "s", "ms", "us" or "ns"; None: as the file states, else inferred.
     """
 
     fps: float | None = None
@@ -50,14 +53,14 @@ class FrameOptions:
     interpolation: str = "previous"
     full_scale: float | None = None
     background: str = "black"
-    time_unit: str = "s"
+    time_unit: str | None = None
 
     def __post_init__(self) -> None:
         choices: tuple[tuple[str, object, Iterable[object]], ...] = (
             ("gamma", self.gamma, (None, *GAMMAS)),
             ("interpolation", self.interpolation, INTERPOLATIONS),
             ("background", self.background, BACKGROUNDS),
-            ("time_unit", self.time_unit, SECONDS_PER),
+            ("time_unit", self.time_unit, (None, *TIME_UNITS)),
         )
         for name, value, known in choices:
             if value not in known:
@@ -74,7 +77,7 @@ def holds_pictures(path: Path) -> bool:
 
 def natural_key(name: str) -> tuple[tuple[int, int, str], ...]:
     """Sorts names as people count: frame_2 before frame_10."""
-    parts = re.findall(r"\d+|\D+", name)
+    parts = re.findall(r"\d+|\D+", name.lower())
     return tuple((0, int(part), "") if part.isdecimal() else (1, 0, part) for part in parts)
 
 
@@ -109,14 +112,20 @@ def _folder(path: Path, options: FrameOptions, notes: list[str]) -> tuple[np.nda
 
     files = sorted((f for f in path.iterdir() if f.suffix.lower() in PICTURES and f.is_file()), key=_order)
     if len(files) < 2:
-        raise InputError(f"{path}: expected a folder of pictures ({', '.join(PICTURES)}), found {len(files)}")
+        raise InputError(
+            f"{path}: expected a folder of pictures ({', '.join(PICTURES)}), one a file, found {len(files)}; convert "
+            "others to these"
+        )
     if files != sorted(files):
         notes.append(f"pictures in the order of their numbers: {files[0].name}, {files[1].name}, …")
-    stamps = next((path / name for name in STAMPS if (path / name).is_file()), None)
-    if stamps is None or options.fps is not None:
+    stamps = sorted(file for file in path.iterdir() if STAMPS.fullmatch(file.name) and file.is_file())
+    if not stamps or options.fps is not None:
         t = _regular(len(files), options.fps, path)
+    elif len(stamps) > 1:
+        found = ", ".join(file.name for file in stamps)
+        raise InputError(f"{path}: expected one file of times, found {found}; remove others, or state fps")
     else:
-        t = _times(stamps, files) * SECONDS_PER[options.time_unit]
+        t = _times(stamps[0], files, options, notes)
     steps: set[float] = set()
 
     def levels() -> Iterator[np.ndarray]:
@@ -128,36 +137,50 @@ def _folder(path: Path, options: FrameOptions, notes: list[str]) -> tuple[np.nda
             yield level
 
     stacked = _stacked(levels(), len(files), path)
-    return stacked, t, steps.pop()
+    step = steps.pop()
+    notes += _fewer_bits(float(stacked.max()), step)
+    return stacked, t, step
+
+
+def _fewer_bits(most: float, step: float) -> list[str]:
+    """A line where 16-bit pictures hold no level that 10, 12 or 14 bits could not."""
+    bits = next((bits for bits in FEWER_BITS if round(most / step) < 1 << bits), 16)
+    if step != 1 / 65535 or bits == 16:
+        return []
+    return [f"no level above {(1 << bits) - 1} of 65535: if these are {bits} bits, full_scale = {(1 << bits) - 1}.0"]
 
 
 def _order(file: Path) -> tuple:
     return natural_key(file.name)
 
 
-def _times(stamps: Path, files: list[Path]) -> np.ndarray:
-    """(n,) times of pictures, one a line, alone or beside the picture's name or number."""
-    rows = [cells_of(line.strip())[0] for line in stamps.read_text("utf-8-sig", "replace").splitlines()]
-    rows = [row for row in rows if row and row[0] and not row[0].startswith("#")]
-    if rows and not any(is_number(cell) for cell in rows[0]):
-        rows = rows[1:]  # names of columns
+def _times(stamps: Path, files: list[Path], options: FrameOptions, notes: list[str]) -> np.ndarray:
+    """(n,) seconds of pictures, one a line, alone or with the picture's name or number."""
+    lines = [line.strip() for line in read_text(stamps, "CSV").splitlines() if line.strip()]
+    rows = [cells_of(line)[0] for line in lines if not line.startswith(COMMENTS)]
+    names = rows.pop(0) if rows and not any(is_number(cell) for cell in rows[0]) else []
     if len(rows) != len(files) or len({len(row) for row in rows}) != 1 or len(rows[0]) not in (1, 2):
         found = f"{len(rows)} lines"
         raise InputError(f"{stamps}: expected {len(files)} times, one a line for each picture, found {found}")
-    by_name = [Path(row[0]).name for row in rows]
     time = 0
-    if len(rows[0]) == 2:
-        if {file.name for file in files} == set(by_name):
-            place = dict(zip(by_name, rows, strict=True))
-            rows, time = [place[file.name] for file in files], 1
-        elif [row[0] for row in rows] in ([str(k) for k in range(len(rows))], [str(k + 1) for k in range(len(rows))]):
-            time = 1
-        else:
+    for k in range(len(rows[0]) if len(rows[0]) == 2 else 0):
+        place = {Path(row[k]).name: row for row in rows}
+        if set(place) == {file.name for file in files}:
+            rows, time = [place[file.name] for file in files], 1 - k
+            break
+        if [row[k] for row in rows] in ([str(i) for i in range(len(rows))], [str(i + 1) for i in range(len(rows))]):
+            time = 1 - k
+            break
+    else:
+        if len(rows[0]) == 2:
             raise InputError(f"{stamps}: expected a time a line, or a picture's name and its time, found two columns")
     try:
-        return np.array([float(row[time]) for row in rows])
+        numbers = np.array([float(row[time]) for row in rows])
     except ValueError as error:
-        raise InputError(f"{stamps}: expected one time in seconds a line: {str(error)[:100]}") from None
+        raise InputError(f"{stamps}: expected one time a line: {str(error)[:100]}") from None
+    comments = " ".join(line for line in lines if line.startswith(COMMENTS))
+    name = names[time] if len(names) == len(rows[0]) else "t"
+    return seconds(numbers, name, comments, options.time_unit, notes.append, stamps, "the stimulus' .toml")
 
 
 def _video(path: Path, options: FrameOptions, notes: list[str]) -> tuple[np.ndarray, np.ndarray, float]:

@@ -5,6 +5,7 @@ Times count from the clock of whatever measured the light; `pixelid convert --al
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from pixelid.arrays import load_arrays
 from pixelid.errors import InputError, shown
 from pixelid.stimuli.frames import VIDEOS, FrameOptions, read_frames
 from pixelid.stimuli.light_tables import Stated, read_table
+from pixelid.stimuli.light_times import seconds
 from pixelid.stimuli.stimulus import Stimulus, unit_named
 
 TABLES, ARRAYS = (".csv", ".txt", ".tsv"), (".npy", ".npz")
@@ -45,7 +47,7 @@ def read_light(
     if path.is_dir() or suffix in VIDEOS:
         return read_frames(path, unit or "relative", frames or FrameOptions(), say)
     if suffix in ARRAYS:
-        return _array(path, unit)
+        return _array(path, unit, say)
     t, radiance, named = read_table(path, table or Stated(), say)
     return _stimulus(t, radiance, unit or named, path)
 
@@ -54,14 +56,15 @@ def _kind_of(path: Path) -> str:
     return "a device, pipe or socket" if path.exists() else "nothing of that name"
 
 
-def _array(path: Path, unit: str | None) -> Stimulus:
-    arrays = load_arrays(path)
+def _array(path: Path, unit: str | None, say: Callable[[str], object]) -> Stimulus:
+    arrays, stated = load_arrays(path), Stated.beside(path)
+    unit = unit or stated.unit
     if "" in arrays:
         content = arrays[""]
         if content.ndim != 2 or 2 not in content.shape or content.dtype.kind not in "fiu":
             raise InputError(f"{path}: expected rows of t, radiance, found {content.dtype} of shape {content.shape}")
         t, radiance = content.T if content.shape[1] == 2 else content
-        return _stimulus(t, radiance, unit or "relative", path)
+        return _stimulus(seconds(t, "t", "", stated.time_unit, say, path), radiance, unit or "relative", path)
     missing = [name for name in ("t", "radiance") if name not in arrays]
     if missing:
         raise InputError(f"{path}: {missing[0]}: missing; expected t and radiance, found {shown(list(arrays), 200)}")
@@ -70,7 +73,8 @@ def _array(path: Path, unit: str | None) -> Stimulus:
             raise InputError(f"{path}: {name}: expected numbers, found {arrays[name].dtype}")
     told = str(arrays["unit"]) if "unit" in arrays else None
     between = str(arrays["interpolation"]) if "interpolation" in arrays else "linear"
-    return _stimulus(arrays["t"], arrays["radiance"], unit or told or "relative", path, between)
+    t = seconds(arrays["t"], "t", "", stated.time_unit, say, path)
+    return _stimulus(t, arrays["radiance"], unit or told or "relative", path, between)
 
 
 def _stimulus(t: np.ndarray, radiance: np.ndarray, unit: str, path: Path, between: str = "linear") -> Stimulus:

@@ -76,7 +76,7 @@ class TableFit:
         scale: σ, the relative scatter.
         predicted, residual, weight: (rows,) prediction, residual in scales, and weight 0…1 given to the row.
         log_likelihood: at the maximum;  converged: whether EM came to rest.
-        ties: priors beside the parameters' own.
+        ties: priors in addition to the parameters' own.
         wider: (m, parameters) further deviations, of all parameters together each: of `profile.follow_profile` and
             `profile.with_rivals`, or a step that a search could not win.
     """
@@ -101,7 +101,7 @@ class TableFit:
 
     @property
     def suspect(self) -> np.ndarray:
-        """(rows,) which rows the fit disbelieves."""
+        """(rows,) which rows the fit down-weights."""
         return np.abs(self.residual) > SUSPECT_SCALES
 
     def at_bound(self) -> list[str]:
@@ -115,7 +115,7 @@ class TableFit:
         return names
 
     def judge(self) -> tuple[Status, str]:
-        """(status, advice): the worst that is to be said, and what to do about it."""
+        """(status, advice): the worst that is to be stated, and what to do about it."""
         verdicts = {}
         if not self.converged:
             verdicts[Status.not_converged] = f"The regression did not come to rest: {self._of_kind(UNSETTLED)}."
@@ -206,7 +206,7 @@ def fit_table(
     Args:
         model: rows, parameters and prediction.
         start: values to begin at, in the order of the parameters; their own by default.
-        ties: priors on means of fitting coordinates, beside the parameters' own.
+        ties: priors on means of fitting coordinates, in addition to the parameters' own.
         rest: nats by which a step of EM may still gain when it has come to rest.
         scatter: σ where it is known; fitted where None.
     """
@@ -270,7 +270,7 @@ def fit_at(
         x: (parameters,) fitting coordinates.
         scale: relative scatter σ.
         converged: whether the search came to rest.
-        ties: priors beside the parameters' own.
+        ties: priors in addition to the parameters' own.
     """
     lower, upper = np.array([p.coordinate_bounds() for p in model.parameters]).T
     r, known = _residuals(model, x)

@@ -40,7 +40,7 @@ class Rows:
 
     @property
     def known_variance(self) -> np.ndarray:
-        """(rows,) variance of ln measured that the table itself tells: rounding and stated errors."""
+        """(rows,) variance of ln measured that the table itself shows: rounding and stated errors."""
         return self.rounding**2 + np.asarray(self.relative_error) ** 2
 
     def log_ratio(self, predicted: np.ndarray) -> np.ndarray:

@@ -1,6 +1,6 @@
 """Read a table of a CSV file: a header, one row per line, `#` lines are remarks, empty cells were not measured.
 
-Cells are apart by commas, semicolons or tabs; numbers may have decimal commas where commas are not the mark.
+Cells are separated by commas, semicolons or tabs; numbers may have decimal commas where commas are not the mark.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ import pytest
 PACKAGE = Path(__file__).resolve().parents[2] / "pixelid"
 BASE = {
     "arrays", "cluster", "delimited", "documents", "errors", "figures", "interruption", "outputs", "parallel",
-    "provenance", "results", "statistics", "status",
+    "provenance", "results", "statistics", "status", "time_units",
 }  # fmt: skip
 MAY_IMPORT = {
     "errors": set(),
@@ -23,6 +23,7 @@ MAY_IMPORT = {
     "provenance": set(),
     "statistics": set(),
     "status": set(),
+    "time_units": set(),
     "results": {"documents", "errors", "outputs", "status"},
     "public": {"errors"},
     "parallel": {"errors"},
@@ -37,7 +38,7 @@ MAY_IMPORT["inputs"] = BASE | {"model", "recordings", "stimuli"}
 MAY_IMPORT["compilation"] = set()  # everything else is imported when a function is called
 for face in ("api", "api_analyses", "api_recordings"):
     MAY_IMPORT[face] = BASE | {"public"}  # everything else is imported when a function is called
-MAY_IMPORT["biases"] = {"errors", "statistics"}
+MAY_IMPORT["biases"] = {"documents", "errors", "statistics"}
 MAY_IMPORT["inspection"] = BASE | {"biases", "recordings", "stimuli"}
 MAY_IMPORT["simulate"] = MAY_IMPORT["likelihood"] = set(MAY_IMPORT) - {"inspection"}
 MAY_IMPORT["fit"] = MAY_IMPORT["sensors"] = MAY_IMPORT["simulate"] | {"simulate", "likelihood"}

@@ -21,13 +21,17 @@ SPECS = st.builds(
     Spec, format=st.sampled_from(FORMATS), order=st.sampled_from(["txyp", "xypt", "xytp", "ptxy", "tpxy", "yxtp"]),
     named=st.booleans(), unit_named=st.booleans(), size_stated=st.booleans(),
     unit=st.sampled_from(["s", "ms", "us", "us", "ns"]), floats=st.sampled_from(["none", "none", "t", "all"]),
-    polarity=st.sampled_from(["01", "01", "pm1", "bool", "three"]), mark=st.sampled_from([",", ";", "\t", " "]),
+    polarity=st.sampled_from(["01", "01", "pm1", "bool", "three", "words"]),
+    mark=st.sampled_from([",", ";", "\t", " "]),
     decimal=st.sampled_from([".", ".", ","]), comment=st.sampled_from(["", "# made by a lab", "% exported", "// t"]),
     quoted=st.booleans(), index=st.booleans(),
     clock=st.sampled_from(["rises", "rises", "rises", "ties", "swap", "back", "frames"]),
     empty_stream=st.booleans(), second_stream=st.booleans(), width=st.sampled_from([1, 2, 64, 304, 1280]),
     height=st.sampled_from([1, 2, 48, 240, 720]), events=st.sampled_from([30, 200, 2000]),
-    seconds=st.sampled_from([0.02, 0.5, 20.0]), seed=st.integers(0, 1000),
+    seconds=st.sampled_from([0.02, 0.5, 20.0]), seed=st.integers(0, 1000), unit_comment=st.booleans(),
+    size_as=st.sampled_from(["sides", "pair"]), from_one=st.sampled_from([False, False, False, True]),
+    across=st.booleans(), brackets=st.sampled_from([False, False, False, True]),
+    coding=st.sampled_from(["utf-8", "cp1252", "utf-16"]),
 )  # fmt: skip
 COUNTS: Counter = Counter()
 
@@ -49,6 +53,12 @@ def possible(spec: Spec) -> Spec:
     rows = spec.format in ("npz_rows", "h5_rows")
     if spec.format != "text":
         spec = replace(spec, named=not rows)
+    if spec.format != "text" and spec.polarity == "words":
+        spec = replace(spec, polarity="01")
+    if spec.mark == " " or spec.quoted:
+        spec = replace(spec, brackets=False)
+    if spec.format == "mat":  # which states nothing
+        spec = replace(spec, unit_comment=False)
     if not spec.named or spec.mark == " ":
         spec = replace(spec, index=False, unit_named=spec.unit_named and spec.named)
     return spec
@@ -290,3 +300,11 @@ def test_a_filter_that_is_missing_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr(hdf5, "FILTERS", {1: "ECF (Prophesee's plugin)"})
     with pytest.raises(InputError, match="compressed by ECF"):
         hdf5.opened(tmp_path / "a.h5", ReadingOptions())
+
+
+def test_a_gap_where_the_last_pixel_has_no_scored_event(tmp_path):
+    from pixelid.gap.gap import gap
+    from pixelid.model.shipped import find_model
+
+    report = gap([open_recording(door("gap_crash_last_pixel.h5"))], find_model("dvs128"))
+    assert report.verdict == "none"

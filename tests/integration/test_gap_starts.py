@@ -431,7 +431,8 @@ def test_shot_noise_that_the_base_looks_like_is_tried_before_any_effect(complete
     noise = ShotNoise(1e-4, (0.0, 1.0), corrected, 1000.0, 5.0)
     monkeypatch.setattr(by_noise, "find_shot_noise", lambda *given: noise)
     monkeypatch.setattr(by_noise, "looks_like_shot_noise", lambda seen, criteria: alike)
-    state = by_noise.try_before_next_effect(replace(complete, hypothesis=left), CONTEXT)
+    monkeypatch.setattr(by_noise, "named_in_noise", lambda state, context: state)
+    state = by_noise.try_before_first_effect(replace(complete, hypothesis=left), CONTEXT)
     assert state.shot_noise is (noise if alike else None)
     assert state.global_p == (2e-9 if alike else 1.0)  # that of the base, not of what the noise leaves
 
@@ -625,8 +626,10 @@ def attributed_beside(monkeypatch, attribution, fit, tried, chance):
     monkeypatch.setattr(beside, "candidates_of", lambda *given: None)
     monkeypatch.setattr(beside, "attribute", lambda *given: attribution)
     monkeypatch.setattr(beside, "may_be_named", lambda candidate, options: True)
-    monkeypatch.setattr(beside, "gains_without", lambda *given: np.zeros((len(attribution.candidates), 2)))
-    monkeypatch.setattr(beside, "chance_of_excess", lambda gain, *rest: chance(gain))
+    monkeypatch.setattr(
+        beside, "beyond_sessions_without",
+        lambda evidence, truth, able, *rest: [replace(c, p=chance(c.gain)) for c in able],
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize(

@@ -218,7 +218,7 @@ def test_pictures_that_declare_more_than_they_hold(tmp_path):
     (tmp_path / "frames").mkdir()
     for name in ("wide.png", "short.png"):
         (tmp_path / "frames" / name).write_bytes(bombs[name])
-    (tmp_path / "frames" / "timestamps.txt").write_text("0\n1\n")
+    (tmp_path / "frames" / "timestamps.txt").write_text("0.0\n0.5\n")
     with pytest.raises(InputError, match=r"short\.png"):
         load_stimulus(tmp_path / "frames")
     (tmp_path / "video.mp4").write_bytes(b"\0\0\0\x18ftypmp42" + bytes(100))
@@ -230,7 +230,7 @@ def test_frames_that_do_not_fit_into_memory(tmp_path, monkeypatch):
     (tmp_path / "frames").mkdir()
     for k in range(3):
         (tmp_path / "frames" / f"{k}.png").write_bytes(declared_png(30, 20, bytes(31 * 20)))
-    (tmp_path / "frames" / "timestamps.txt").write_text("0\n1\n2\n")
+    (tmp_path / "frames" / "timestamps.txt").write_text("0.0\n0.5\n1.0\n")
     assert load_stimulus(tmp_path / "frames").radiance.shape == (4, 20, 30)
     monkeypatch.setattr(sampled, "memory_bytes", lambda: 2 * 2 * 3 * 30 * 20 * 4 - 1)
     with pytest.raises(InputError, match="fit into memory"):

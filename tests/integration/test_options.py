@@ -45,6 +45,7 @@ GOOD = {  # command → words that run; {out} is free
     "dataset": "eds eds {out}",
     "reconstruct": "scene --out {out} --steps 2 --cells 8 --bandwidth off --box -1 -1 -1 1 1 1",
     "render": "result --out {out} --frames 1 --size 4 4",
+    "view": "dvs128 --out {out}.html",
     "report": "result",
     "demo": "--out {out}",
 }

@@ -180,6 +180,23 @@ def test_latency(tmp_path):
     check("latency", written(tmp_path / "two" / "latency.json"))
 
 
+def test_biases(tmp_path):
+    lines = ["polarity,bias_diff,bias_diff_on_off,threshold,mismatch"]
+    lines += [f"{edge},{d},{own},{0.3 + 0.004 * own - 0.002 * d},0.0{4 + own % 2}" for edge in ("on", "off")
+              for d in (0, 10, 20) for own in (0, -10, -20, -35)]  # fmt: skip
+    (tmp_path / "table.csv").write_text("\n".join(lines) + "\n")
+    words = ["biases", tmp_path / "table.csv", "--at", "diff=5,diff_on=-90", "--quiet"]
+    run(*words, "--out", tmp_path / "out")
+    check("biases", written(tmp_path / "out" / "biases.json"))
+    (tmp_path / "codes.csv").write_text("bias_diff,bias_diff_on\n5,-5\n0,-99\n")
+    predict = ["--model", tmp_path / "out", "--predict", "--quiet"]
+    run("biases", tmp_path / "codes.csv", *predict, "--out", tmp_path / "check")
+    check("biases", written(tmp_path / "check" / "biases.json"))
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "on_threshold" in page
+    assert "Forms compared" in page
+
+
 def test_noise(tmp_path):
     rows = "0.5,0.4,0.5\n2,1,0.8\n10,0.5,0.4\n50,0.01,0.008\n"
     (tmp_path / "noise.csv").write_text("lux,on_events_per_s,off_events_per_s\n" + rows)

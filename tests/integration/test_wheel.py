@@ -32,7 +32,8 @@ def only(folder: Path, pattern: str) -> Path:
 
 
 def shipped() -> set[str]:
-    return {f"{kind}/{path.name}" for kind in ("models", "fits") for path in (ROOT / kind).glob("*.toml")}
+    paths = [path for kind in ("models", "fits") for path in (ROOT / kind).rglob("*.toml")]
+    return {path.relative_to(ROOT).as_posix() for path in paths}
 
 
 def bench() -> set[str]:

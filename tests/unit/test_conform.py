@@ -105,7 +105,7 @@ def test_what_was_taken_back_is_not_decidable_and_numbers_are_of_one_model():
         intervals=interval,
     )  # fmt: skip
     assert (found["leak"].verdict, found["leak"].gain_nats) == ("not_decidable", 60.0)
-    assert "taken back" in found["leak"].why
+    assert "removed" in found["leak"].why
     assert found["refractory_period"].parameters == {"refractory_s": (2e-4, (1.9e-4, 2.1e-4))}
 
 

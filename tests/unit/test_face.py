@@ -22,10 +22,10 @@ from pixelid.recordings import Events, Recording, write_recording
 
 NAMES = {
     "check", "calibrate", "open", "find_model", "simulate", "fit", "sample", "gap", "lowlight", "design",
-    "reconstruct", "load_field", "convert", "crop", "inspect", "stimulus",
+    "reconstruct", "load_field", "align", "convert", "crop", "inspect", "stimulus", "biases", "view",
     "Model", "Recording", "Stimulus", "Status",
 }  # fmt: skip
-SUBPACKAGES = ("fit", "sample", "gap", "lowlight", "design", "simulate")
+SUBPACKAGES = ("fit", "sample", "gap", "lowlight", "design", "simulate", "biases")
 
 
 def test_the_names():

@@ -188,7 +188,7 @@ def test_refusals(recording):
     one = replace(recording, events=recording.events.select(recording.events.pixel == 0))
     with pytest.raises(InputError, match="the gain of a single pixel is the radiance's scale"):
         Wanted.of("gain=0.2").check([one], MODEL, "discrete")
-    with pytest.raises(InputError, match="1 pixels do not tell how far levels spread"):
+    with pytest.raises(InputError, match="1 pixels do not identify how far levels spread"):
         Wanted.of("background").check([one], MODEL, "discrete")
     Wanted.of("background=2").check([one], MODEL, "discrete")
     lux = recording.with_stimulus(replace(recording.stimulus, unit="lux"))

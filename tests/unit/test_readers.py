@@ -223,7 +223,7 @@ def test_the_unit_that_an_npz_states_counts(tmp_path, times, unit, tick_ns):
     np.testing.assert_array_equal(e.t, [0, 1_000_000, 2_000_000 if unit == "ms" else 2_500_000])
     assert e.tick_ns == tick_ns
     np.savez(tmp_path / "b.npz", t=times, x=x, y=x, p=x % 2, unit="fortnight")
-    with pytest.raises(InputError, match="unit: expected ns or us or ms or s, found 'fortnight'"):
+    with pytest.raises(InputError, match="unit ns or us or ms or s, found 'fortnight'"):
         open_recording(tmp_path / "b.npz")
 
 

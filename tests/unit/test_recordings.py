@@ -213,7 +213,7 @@ def test_microseconds_beyond_64_bits(tmp_path):
         ("events:width", 0, "attribute width: expected a positive integer, found 0"),
         ("events/t:unit", "days", "expected unit 'ns' or 'us', found 'days'"),
         ("/:version", 2, "version: expected 1, found 2"),
-        ("/:format", "other", "format: expected 'pixelid-recording', found 'other'"),
+        ("/:format", "pixelid-model", "format: expected 'pixelid-recording', found 'pixelid-model'"),
     ],
 )
 def test_bad_attributes_are_named(tmp_path, attribute, value, message):

@@ -1,11 +1,13 @@
 """Cameras of posed pictures: what NeRF, nerfstudio and instant-ngp state is read, or refused by name."""
 
+import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from pixelid.errors import InputError
+from pixelid.nerf.shown.ways import way_of_file
 from pixelid.nerf.view_cameras import camera_of_document, states_camera
 
 FILE = Path("transforms.json")
@@ -50,6 +52,9 @@ def test_lenses():
         ({"camera_angle_x": 0.3}, "disagree"),
         ({"w": 64, "h": 64}, "w, h: expected pictures of the shape"),
         ({"fl_x": -1.0}, "fl_x: expected a number above 0"),
+        ({"distortion_params": [0.1, 0.0]}, "distortion_params.*not read"),
+        ({"camera_model": "PINHOLE", "k1": 0.1}, "k1: camera_model PINHOLE has no lens"),
+        ({"camera_angle_y": 0.3}, "camera_angle_y 0.3 and a focal length of 41 pixels disagree"),
     ],
 )
 def test_what_is_not_read_is_refused_by_name(changes, says):
@@ -58,5 +63,47 @@ def test_what_is_not_read_is_refused_by_name(changes, says):
 
 
 def test_a_lens_without_a_focal_length():
-    with pytest.raises(InputError, match="k1: is read beside fl_x only"):
+    with pytest.raises(InputError, match="k1: is read with fl_x only"):
         camera_of_document(FILE, {"camera_angle_x": 0.7, "k1": 0.1, "frames": [POSE]}, 64, 48)
+
+
+def _write_colmap(folder: Path, binary: bool, model: str = "OPENCV") -> None:
+    """Two images of a camera 3 m before the origin, by COLMAP's description of its files."""
+    folder.mkdir()
+    values, turned = [40.0, 41.0, 44.0, 16.0, 0.05, 0.01, 0.002, 0.0], [np.cos(0.1), 0.0, np.sin(0.1), 0.0]
+    poses = [([1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 3.0], "a.png"), (turned, [0.1, 0.2, 3.0], "b c.png")]
+    if not binary:
+        words = " ".join(map(str, values if model == "OPENCV" else values[:5]))
+        (folder / "cameras.txt").write_text(f"# Camera list\n7 {model} 64 48 {words}\n")
+        lines = [f"{k} {' '.join(map(str, [*q, *t]))} 7 {name}\n{'1.5 2.5 -1' if k else ''}\n"
+                 for k, (q, t, name) in enumerate(poses)]  # fmt: skip
+        (folder / "images.txt").write_text("# Image list with two lines\n" + "".join(lines))
+        return
+    (folder / "cameras.bin").write_bytes(struct.pack("<QiiQQ8d", 1, 7, 4, 64, 48, *values))
+    images = struct.pack("<Q", 2)
+    for k, (q, t, name) in enumerate(poses):
+        images += struct.pack("<i7di", k, *q, *t, 7) + name.encode() + b"\0" + struct.pack("<Q", k) + bytes(24 * k)
+    (folder / "images.bin").write_bytes(images)
+
+
+@pytest.mark.parametrize("binary", [False, True])
+def test_cameras_and_poses_of_colmap(tmp_path, binary):
+    _write_colmap(tmp_path / "sparse", binary)
+    way = way_of_file(tmp_path, None)
+    assert [name[5:] for name in way.names] == ["a.png", "b c.png"]
+    assert (way.camera.width, way.camera.height, way.camera.model) == (64, 48, "plumb_bob")
+    np.testing.assert_allclose(way.camera.distortion, [0.05, 0.01, 0.002, 0.0, 0.0])
+    np.testing.assert_allclose(way.camera.intrinsics[:2, 2], [43.5, 15.5])
+    world = np.array([0.3, -0.2, 0.5])
+    c, s = np.cos(0.2), np.sin(0.2)
+    expected = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]) @ world + [0.1, 0.2, 3.0]  # quaternion and translation
+    np.testing.assert_allclose(way.rotation[1].T @ (world - way.position[1]), expected)
+
+
+def test_a_lens_of_colmap_that_is_not_read_is_refused_by_name(tmp_path):
+    _write_colmap(tmp_path / "sparse", False, "FOV")
+    with pytest.raises(InputError, match=r"omega.*not read"):
+        way_of_file(tmp_path, None)
+    (tmp_path / "sparse" / "cameras.txt").write_text("7 STARRY 64 48 1 2 3\n")
+    with pytest.raises(InputError, match="STARRY"):
+        way_of_file(tmp_path / "sparse" / "images.txt", None)

@@ -109,7 +109,7 @@ def changes(
 ) -> dict[str, Any]:
     """The fields of `likelihood.changes.Changes` as vectors.
 
-    circuit: engine numbers;  real: the real circuit, which tells what is present
+    circuit: engine numbers;  real: the real circuit, which shows what is present
     clock: of the recording, in engine numbers;  None: that of its light
     states_of(light, dynamics): another integrator's (samples, at), see `continuous`; None: the closed-form step
     """

@@ -54,7 +54,7 @@ class FrozenRecording:
 class Frozen:
     """Everything an engine needs to write the log-likelihood as one expression of the circuit's numbers.
 
-    circuit: the real circuit at the point, which tells what is present
+    circuit: the real circuit at the point, which shows what is present
     layout: which pixel each of the n events and m unfinished intervals belongs to
     clock_share, threshold_factor: (n,), as of `EventTimes`
     kept: indices of the circuit's events;  background: how many are not;  survived: indices with a survival factor

@@ -1,4 +1,4 @@
-"""What a fit with levels tells of them, and how far they enlarge the errors of the camera's parameters."""
+"""What a fit with levels shows of them, and how far they enlarge the errors of the camera's parameters."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ NOTHING = np.empty(0)
 
 
 def pixel_levels(found: Levelled, covariance: np.ndarray, on_bound: np.ndarray, width: int) -> PixelLevels:
-    """What a fit with levels tells.
+    """What a fit with levels shows.
 
     Args:
         found: the fit.
@@ -75,7 +75,7 @@ def _camera(names, covariance, these, known, free) -> dict[str, dict[str, float]
 
 
 def notes(scales: Scales, camera: Mapping[str, Mapping[str, float]], variance: np.ndarray) -> tuple[str, ...]:
-    """What levels that all pixels share cannot be told from, and which levels single pixels hardly tell.
+    """What levels that all pixels share cannot be distinguished from, and which levels single pixels hardly identify.
 
     Args:
         scales: of the levels.
@@ -90,11 +90,11 @@ def notes(scales: Scales, camera: Mapping[str, Mapping[str, float]], variance: n
             text += f"; these {pixels} may be {share:.2g} % off it, which the errors of {', '.join(carried)} hold"
         said.append(text)
     if scales.background is not None:
-        said.append("a background common to all pixels cannot be told from a dark current: it holds both")
+        said.append("a background common to all pixels is not distinguishable from a dark current: it is their sum")
     for kind, left in zip(scales.kinds, np.median(variance, axis=0), strict=True):
         if left > UNTOLD:
             said.append(
-                f"the {kind} of single pixels is hardly told by their events: it is known little better than its spread"
+                f"the {kind} of single pixels is hardly identified by their events: little better than its spread"
             )
     return tuple(said)
 

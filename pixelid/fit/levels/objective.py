@@ -12,7 +12,7 @@ Schur complement
     H = H_θθ + Σ_i H_θi B_i⁻¹ H_iθ,        du_i/dθ = B_i⁻¹ H_iθ,
 
 whose negated inverse is the covariance of θ with the levels integrated out (Laplace's approximation).  What is left of
-that, −Σ ½ ln det B_i, moves slowly with θ: its slope is a tilt of the value, told where the search last ended
+that, −Σ ½ ln det B_i, moves slowly with θ: its slope is a tilt of the value, estimated where the search last ended
 (`scales.py`).  Without it levels would take up scatter that is noise's and mismatch's, as a mean does in a
 variance.
 """
@@ -65,7 +65,7 @@ class LevelledObjective(EventTimesObjective):
         coordinates: of the camera.
         scales: how far levels spread.
         start: (p, k) levels to begin at; None: 0.
-        tilt: by parameter, (slope, coordinate where it was told).
+        tilt: by parameter, (slope, coordinate where it was estimated).
         tolerance, most_steps: nats that all levels together may still promise; steps after which they are left there.
     """
 
@@ -235,7 +235,7 @@ class LevelledObjective(EventTimesObjective):
         circuit, changes, out = self.coordinates.circuit(x), here.terms(x).changes, []
         for k in range(u.shape[1]):
             moved = self._under(u + STEP * np.eye(u.shape[1])[k])
-            difference = moved.changes(circuit, changes.extremes)
+            difference = moved.changes(circuit, changes)
             with np.errstate(over="ignore", invalid="ignore"):
                 difference.vector[:] = (difference.vector - changes.vector) / STEP
             np.nan_to_num(difference.vector, copy=False, posinf=0.0, neginf=0.0)

@@ -116,7 +116,7 @@ class Wanted:
         return BACKGROUND not in self.kinds or DARK not in model.parameters or not model.parameter(DARK).free
 
     def check(self, recordings: Sequence[Recording], model: Model, form: str) -> None:
-        """Raise InputError where levels of pixels cannot be told: by these recordings, or beside this model."""
+        """Raise InputError where levels of pixels cannot be identified: by these recordings, or with this model."""
         if any(recording.pooled for recording in recordings):
             raise InputError("pixel_levels: pooled recordings have no pixels whose levels could differ")
         if any(map(is_measured, recordings)):
@@ -137,7 +137,7 @@ class Wanted:
         if GAIN in self.kinds and pixels < 2:
             raise InputError("pixel_levels: the gain of a single pixel is the radiance's scale; expected two or more")
         if pixels < FEWEST and set(self.kinds) - set(self.given):
-            raise InputError(f"pixel_levels: {pixels} pixels do not tell how far levels spread; give it (gain=0.2)")
+            raise InputError(f"pixel_levels: {pixels} pixels do not identify how far levels spread; give it (gain=0.2)")
         samples = sum(_mean_samples(light) for light in lights) * pixels
         if samples > MOST_SAMPLES:
             raise InputError(
@@ -155,7 +155,7 @@ class PixelLevels:
     camera: by free parameter of the camera, standard errors in fitting coordinates: "sd", "sd_if_levels_known",
         "sd_of_these_pixels" (if the mean of their ln gain were known to be 0), "growth" of the first over the second
     ln_gain_sd is that about the mean of these pixels;  background: the median of what is likely
-    notes: what cannot be told, in words
+    notes: what cannot be identified, in words
     """
 
     x: np.ndarray

@@ -1,14 +1,14 @@
-"""How far gain and background spread over pixels, told by the pixels themselves, and the fit that this makes.
+"""How far gain and background spread over pixels, estimated by the pixels themselves, and the fit that this makes.
 
 Empirical Bayes in rounds.  In each the camera's parameters and all levels are brought to their joint optimum for given
-scales (`objective.py`); then every scale goes to where the levels that the events tell, centre c_i with variance w_i,
+scales (`objective.py`); then every scale goes to where the levels that the events show, centre c_i with variance w_i,
 are likeliest:
 
     ln gain      Π N(c_i; 0, s² + w_i)
     background   Π 2 N(c_i; 0, s² + w_i) Φ(c_i s / √(w_i (s² + w_i))),     c_i and w_i without the prior's part.
 
 w_i is marginal: what a change of the camera's parameters can stand for is in it.  So the divisor of s² is one less than
-the number of pixels where the mean gain cannot be told from the radiance's scale.
+the number of pixels where the mean gain cannot be distinguished from the radiance's scale.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ UNTOLD = 1e-6  # of a level's variance that events take away: they do not depend
 
 @dataclass(frozen=True)
 class Told:
-    """A kind of level as the events tell it, without the prior: centres and variances (p,) in its own unit."""
+    """A kind of level as the events show it, without the prior: centres and variances (p,) in its own unit."""
 
     centre: np.ndarray
     variance: np.ndarray
@@ -103,7 +103,7 @@ class Levelled:
     """A fit with levels.
 
     objective, optimum: of the camera's parameters;  wanted: what was asked for;  limits: of the scales, by kind
-    details: as results tell them
+    details: as results show them
     """
 
     objective: LevelledObjective
@@ -181,7 +181,7 @@ def _in_rounds(
 
 
 def told_by_events(objective: LevelledObjective, optimum: Optimum) -> dict[str, Told]:
-    """Every kind of level as the events tell it, the camera's parameters being no better known than they are."""
+    """Every kind of level as the events show it, the camera's parameters being no better known than they are."""
     u = objective.best(optimum.x).u
     joint = Joint(_inverse(optimum), objective.best(optimum.x).block, objective.follows(optimum.x))
     out = {}

@@ -21,7 +21,7 @@ KINETIC = ("alpha", "beta", "gamma", "alpha_over_beta", "sf_cutoff_hz", "extra_p
 def challenged(
     objective: Objective, x: np.ndarray, identified: np.ndarray, recordings: Sequence[Recording]
 ) -> tuple[np.ndarray, list[str]]:
-    """(identified (d,), sentences): the reading of the curvature, corrected by what the stimuli can tell.
+    """(identified (d,), sentences): the reading of the curvature, corrected by what the stimuli can identify.
 
     A poor design (one level, or one frequency) is distrusted: every bandwidth that curvature calls identified is moved
     by a factor e^±0.5 with all else fitted again, and where two poles could have changed places the other assignment

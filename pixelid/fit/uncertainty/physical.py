@@ -1,4 +1,4 @@
-"""Intervals of physical circuit values, from those of the invariants that events tell."""
+"""Intervals of physical circuit values, from those of the invariants that events show."""
 
 from __future__ import annotations
 

@@ -1,12 +1,12 @@
 """Intervals when few pixels share a spread: what a normal approximation gets wrong, and by how much.
 
 The mean threshold of n pixels is known to about σ C/√n, with σ the mismatch that the same 2n thresholds (ON and OFF)
-must also tell.  Maximum likelihood puts σ low, by √(1 − 2/2n) as two means are estimated too, and a normal quantile
+must also identify.  Maximum likelihood puts σ low, by √(1 − 2/2n) as two means are estimated too, and a normal quantile
 ignores that σ is itself uncertain; at 9 pixels 95 % intervals of the thresholds then hold the truth in some 91 %.
 Restricted likelihood and Satterthwaite's degrees of freedom repair both (Patterson & Thompson 1971, Biometrika 58, 545;
 Satterthwaite 1946, Biometrics Bulletin 2, 110), here in closed form:
 
-    G = 1/(2 s²)       thresholds that tell σ, from s, the standard error of ln σ;  ν = G − 2 degrees of freedom
+    G = 1/(2 s²)       thresholds that determine σ, from s, the standard error of ln σ;  ν = G − 2 degrees of freedom
     σ                  interval σ̂ √(G/χ²_ν), equal tails
     ln C               variance v → v (1 + f (G/ν − 1)) and Student's t with ν/f² degrees of freedom, f = σ²/(n v) the
                        share of v that comes from mismatch

@@ -1,4 +1,4 @@
-"""What a set of stimuli cannot tell, whatever the events say (docs/model.md, "Invariants")."""
+"""What a set of stimuli cannot identify, whatever the events say (docs/model.md, "Invariants")."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def _line(u: np.ndarray, duration_s: float) -> float | None:
 
 
 def _slow(u: np.ndarray, peak: int, duration_s: float) -> float | None:
-    """The same for so few cycles that harmonics cannot be told from neighbours: a sine fitted in time."""
+    """The same for so few cycles that harmonics cannot be distinguished from neighbours: a sine fitted in time."""
     if peak == 0 or peak > 6:
         return None
     u = u[:: len(u) // 512]  # three harmonics of seven cycles: 24 samples for the shortest
@@ -117,15 +117,15 @@ def caveats(design: Design, values: Mapping[str, float], free: Collection[str]) 
         how = "gently modulated, " if design.stretch < STRETCH else ""
         sentences.append(
             f"one radiance level ({level:.3g}, {how}mean of every recording): the data see alpha·L and beta + gamma·L, "
-            "and tell alpha, beta and gamma apart only by how the response bends with the modulation; record a second "
+            "and separate alpha, beta and gamma only by how the response bends with the modulation; record a second "
             "level, a factor 10 away"
         )
         if "sf_cutoff_hz" in free:
             sentences.append(_exchange(values, level))
     if design.one_frequency:
         sentences.append(
-            f"one frequency ({design.frequency_hz:.3g} Hz): gain and phase at one frequency cannot tell several poles "
-            "apart, and lower gain with lower thresholds gives the same events (contrast × threshold); record a chirp "
+            f"one frequency ({design.frequency_hz:.3g} Hz): gain and phase at one frequency cannot separate several "
+            "poles, and lower gain with lower thresholds gives the same events (contrast × threshold); record a chirp "
             "or steps"
         )
     if design.shape:

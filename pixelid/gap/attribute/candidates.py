@@ -16,8 +16,8 @@ from pixelid.errors import InputError
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
 from pixelid.stages.circuit import Circuit
+from pixelid.stages.effect import Effect
 
-DECADES = (-2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5)  # strengths tried, about the shipped value
 # Per event, below the best so far, from which no stronger one is tried: past the best the likelihood only falls.
 MAX_LOSS_NATS = 0.1
 # A slew limit is slow to fit: it is fitted where one of the strengths gains this much by itself.  A side that nothing
@@ -25,21 +25,7 @@ MAX_LOSS_NATS = 0.1
 MIN_SLEW_GAIN_NATS, SLEW_STEP, FINER_SLEW_STEPS = 0.5, 0.125, 8
 UNFELT_NATS = 1e-3  # what a limit changes that nothing reaches, beside rounding of the likelihood
 SLEW, RISE, FALL = "slew_limit", "slew_limit.rise_per_s", "slew_limit.fall_per_s"
-KNEE, MAINS = "linear_log", "mains_flicker"
-KNEE_DECADES = tuple(d / 8.0 for d in range(-16, 13))  # a knee below all light does nothing, one too high much harm
-MAINS_HZ = (100.0, 120.0)
-# Below the knee, of the logarithm's slope at it: without a kink, and as in v2e, on a line through the origin from the
-# logarithm of 20 grey levels.
-LINEAR_SLOPES = (1.0, math.log(20.0))
 SILENCE, DEAD_TIME = "dead_time_without_reset", "refractory_s"
-PHASES = (0.0, 0.5 * math.pi, math.pi, 1.5 * math.pi)
-# What no density of single events knows: of pooled counts, read off the timestamps (`readout.py`), off the pixels, or
-# not at all.
-NOT_IN_DENSITY = {"light_spread", "shot_noise", "hot_pixels", "readout_latency", "timestamp_quantisation"}
-# effects that weaken as their first parameter grows
-INVERSE = {"second_order_photoreceptor", "source_follower_pole", "extra_pole", "slew_limit", "differencing_pole"}
-SLEWS_THROUGH = ("source_follower_pole", "differencing_pole")  # what the likelihood of slew_limit needs
-USUAL_POLES = ("source_follower_pole", "differencing_pole")  # a pole more is one of these while one of them is missing
 # About the shipped β, for a second-order photoreceptor where there was none: of fast loops only one pole shows.
 BETA_DECADES = (0.0, 1.0, 2.0)
 
@@ -56,25 +42,25 @@ def impossible(model: Model) -> dict[str, str]:
 
 
 def _lacking(model: Model) -> list[str]:
-    return [name for name in stages.LIBRARY if name not in NOT_IN_DENSITY and not model.has(name)]
+    return [name for name, effect in stages.LIBRARY.items() if effect.in_event_times and not model.has(name)]
 
 
 def why_not(model: Model, effect: str) -> str | None:
     """Why a model of this structure cannot have the effect; None where it can."""
     if model.photoreceptor not in stages.effect(effect).photoreceptors:
         return f"a photoreceptor of kind {model.photoreceptor!r} cannot have it"
-    if effect == "extra_pole" and not all(model.has(pole) for pole in USUAL_POLES):
-        return f"as long as one of {' and '.join(USUAL_POLES)} is missing, one pole more is that"
-    if effect == SLEW and not all(model.has(pole) for pole in SLEWS_THROUGH):
-        return f"the likelihood knows it with {' and '.join(SLEWS_THROUGH)} only"
+    asked = stages.effect(effect)
+    if not all(map(model.has, asked.tried_after)):
+        return f"as long as one of {' and '.join(asked.tried_after)} is missing, one more of its kind is that"
+    if not all(map(model.has, asked.requires)):
+        return f"the likelihood knows it with {' and '.join(asked.requires)} only"
     return None
 
 
 def holds_together(model: Model) -> bool:
     """Whether a model of this structure can have all the effects that it has, and the likelihood knows them there."""
-    if model.has(SLEW) and not all(model.has(pole) for pole in SLEWS_THROUGH):
-        return False
-    return all(model.photoreceptor in stages.effect(name).photoreceptors for name in model.effects)
+    there = [stages.effect(name) for name in model.effects]
+    return all(model.photoreceptor in e.photoreceptors and all(map(model.has, e.requires)) for e in there)
 
 
 def remove_effect(model: Model, effect: str, base: Model) -> Model:
@@ -162,7 +148,8 @@ def strongest_slew_start(likelihood: Likelihood, model: Model, least: float) -> 
     From limits far off, or those that the model has.  None if nothing explains more than `least`.
     """
     shipped = stages.effect(SLEW).parameters[0].value
-    limits = (shipped * 10.0 ** np.arange(DECADES[-1], DECADES[0] - 1e-9, -SLEW_STEP)).tolist()  # from weak to tight
+    decades = stages.effect(SLEW).decades
+    limits = (shipped * 10.0 ** np.arange(decades[-1], decades[0] - 1e-9, -SLEW_STEP)).tolist()  # from weak to tight
     best = model if model.has(SLEW) else model.with_effect(SLEW, {RISE: limits[0], FALL: limits[0]})
     top, found = max(_value(likelihood, best), least), False
     for turn, side in enumerate((RISE, FALL, RISE, FALL)):  # again, beside what was found of the other
@@ -264,38 +251,31 @@ def by_strength(model: Model, effect: str, decades: Sequence[float] | None = Non
     They differ in sign, and in what is no strength: slope below a knee, frequency and phase of mains flicker.  decades:
     of the shipped strength, weaker ones negative; None: those where an effect is looked for
     """
-    grown = model.with_effect(effect)
+    grown, asked = model.with_effect(effect), stages.effect(effect)
     if effect == "second_order_photoreceptor":
         yield from _second_orders(model, grown)
         return
-    strength = grown.parameter(next(p.name for p in stages.effect(effect).parameters if p.free))
+    strength = grown.parameter(next(p.name for p in asked.parameters if p.free))
     signs = (1.0,) if strength.transform == "log" else (1.0, -1.0)
     if decades is None:
-        decades = KNEE_DECADES if effect == KNEE else DECADES
-        decades = decades[::-1] if effect in INVERSE else decades
-    elif effect in INVERSE:
+        decades = asked.decades[::-1] if asked.weakens else asked.decades
+    elif asked.weakens:
         decades = [-decade for decade in decades]
     for decade in decades:
         values = [sign * 10.0**decade * strength.value for sign in signs]
         alike = [grown.set({strength.name: v}) for v in values if strength.lower < v < strength.upper]
         if effect == SLEW:
             alike = [sized.set({RISE: sized.values[RISE], FALL: sized.values[RISE]}) for sized in alike]
-        if effect == KNEE:
-            alike = [sized.set({"linear_log.slope": slope}) for sized in alike for slope in LINEAR_SLOPES]
-        if effect == MAINS:
-            alike = [
-                sized.set({f"{MAINS}.frequency_hz": hz, f"{MAINS}.phase_rad": phase})
-                for sized, hz, phase in product(alike, MAINS_HZ, PHASES)
-            ]
-        yield alike
+        others = [dict(zip(asked.tried_with, values, strict=True)) for values in product(*asked.tried_with.values())]
+        yield [sized.set(other) for sized in alike for other in others]
 
 
 def _second_orders(model: Model, grown: Model) -> Iterator[list[Model]]:
     """A second-order photoreceptor with the corner α/β of the one pole it grows from, or of any where there is none."""
     shipped = grown.parameter("alpha").value / grown.parameter("beta").value
     one_pole = model.photoreceptor == "one_pole"
-    corners = [model.values["alpha_over_beta"]] if one_pole else [shipped * 10.0**d for d in reversed(DECADES)]
-    betas = [grown.parameter("beta").value * 10.0**d for d in reversed(DECADES if one_pole else BETA_DECADES)]
+    corners = [model.values["alpha_over_beta"]] if one_pole else [shipped * 10.0**d for d in reversed(Effect.decades)]
+    betas = [grown.parameter("beta").value * 10.0**d for d in reversed(Effect.decades if one_pole else BETA_DECADES)]
     for corner in corners:
         made = [grown.set({"alpha": corner * beta, "beta": beta}) for beta in betas]
         yield from ([sized] for sized in made) if one_pole else [made]

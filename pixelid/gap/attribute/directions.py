@@ -17,7 +17,7 @@ import numpy as np
 from pixelid import stages
 from pixelid.errors import InputError
 from pixelid.fit.maximise import Maximum
-from pixelid.gap.attribute.candidates import INVERSE, SILENCE, by_strength
+from pixelid.gap.attribute.candidates import SILENCE, by_strength
 from pixelid.gap.detect.residuals import Residuals, compare, residuals, tangents
 from pixelid.gap.imputation.blur import Blur, blur_by
 from pixelid.gap.imputation.exact import LOST
@@ -194,7 +194,7 @@ def _typical_ratio(effect: str, name: str, trial: Model, base: Model) -> float:
         late = trial.values["beta"] / trial.values["alpha"]
         return shipped["beta"] / shipped["alpha"] / late
     ratio = shipped[name] / trial.values[name]
-    return 1.0 / ratio if effect in INVERSE else ratio
+    return 1.0 / ratio if stages.effect(effect).weakens else ratio
 
 
 def cosine(a: np.ndarray, b: np.ndarray) -> float:

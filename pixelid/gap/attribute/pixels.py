@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from pixelid import stages
 from pixelid.cluster import Work
 from pixelid.fit.cache import FitCache, map_fits
 from pixelid.fit.maximise import Maximum, maximise
@@ -19,9 +20,7 @@ from pixelid.gap.imputation.windows import DELAY
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
 
-# Optimiser steps of a screening fit.  Poles, and a floor of the bandwidth, trade places with the poles that the model
-# has, which takes longer.
-TRADING_PLACES = ("source_follower_pole", "extra_pole", "differencing_pole", "bandwidth_floor")
+# Optimiser steps of a screening fit; effects that trade places with what the model has take longer.
 SCREEN_STEPS, SCREEN_STEPS_TRADING = 6, 15
 SCREEN_STEPS_OWN = 15  # of an effect with values of each recording's own: phases start up to 45° off
 # Chance of what an effect gains with values of each recording's own, from which a fit to all pixels is for those and
@@ -103,7 +102,7 @@ class _Screen:
     def __call__(self, effect: str, cache: FitCache | None) -> tuple[Maximum, float] | None:
         """(the effect fitted, nats gained); None where no strength of it can be evaluated."""
         best: Maximum | None = None
-        steps = SCREEN_STEPS_TRADING if effect in TRADING_PLACES else SCREEN_STEPS
+        steps = SCREEN_STEPS_TRADING if stages.effect(effect).trades_places else SCREEN_STEPS
         origins = [origin for origin in (self.base.model, self.restart) if origin is not None]
         trials = [None if effect == SLEW else tried(self.pool, origin, effect) for origin in origins]
         for origin, some in zip(origins, trials, strict=True):

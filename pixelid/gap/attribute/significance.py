@@ -8,7 +8,6 @@ import numpy as np
 from scipy.stats import chi2
 
 from pixelid import stages
-from pixelid.gap.attribute.candidates import INVERSE, LINEAR_SLOPES, MAINS_HZ
 from pixelid.gap.criteria import Criteria
 from pixelid.model.model import Model
 
@@ -22,8 +21,8 @@ def chance_of_gain(effect: str, gain_nats: float, tried: int, own: int = 0) -> f
     """Bonferroni-adjusted chance of an effect's gain where it is absent and `tried` effects are.
 
     No effect is a strength of zero, on the boundary: twice the gain is 0 or χ² with equal chance.  A strength of either
-    sign has no boundary there, nor have amplitude and phase of mains flicker, which is tried at each mains frequency.
-    The line of a linear response is tried at each slope.
+    sign has no boundary there, nor have amplitude and phase of a flicker.  Values that are held while the others are
+    fitted (a frequency of the mains, a slope of the line) are tried one by one.
 
     own: values that recordings have each for themselves, in place of shared ones (`own_values`): then the effect was
     tried both ways, and this was the better one
@@ -58,11 +57,9 @@ def _null(effect: str, tried: int, own: int) -> tuple[float, int]:
     new = stages.effect(effect)
     free = [p for p in new.parameters if p.free]
     degrees = len(free) + (own - len(new.starts_anew) if own else 0)
-    share = ON_BOUNDARY if free[0].transform == "log" else 1.0
-    if effect == "mains_flicker":
-        share = float(len(MAINS_HZ))
-    if effect == "linear_log":
-        share *= len(LINEAR_SLOPES)
+    share = ON_BOUNDARY if new.on_boundary else 1.0
+    held = [values for name, values in new.tried_with.items() if name not in {p.name for p in free}]
+    share *= math.prod(map(len, held))  # tried at each of them
     share *= WAYS if own else 1
     return share * tried, degrees
 
@@ -89,7 +86,8 @@ def negligible(effect: str, fitted: Model, criteria: Criteria) -> bool:
     """Whether a fitted effect is far weaker than it ever is in a camera."""
     parameter = next(p for p in fitted.library(effect) if p.free)
     relative = abs(fitted.values[parameter.name]) / parameter.value
-    if effect in INVERSE:
+    declared = stages.effect(effect)
+    if declared.weakens:
         relative = 1.0 / relative
-    flickers = effect == "mains_flicker"
-    return relative < (criteria.min_relative_strength_flicker if flickers else criteria.min_relative_strength)
+    periodic = declared.periodic
+    return relative < (criteria.min_relative_strength_flicker if periodic else criteria.min_relative_strength)

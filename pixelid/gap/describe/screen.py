@@ -57,7 +57,7 @@ def screened(likelihood: EventTimes, fit: Maximum, beginnings: Iterable[tuple[De
         strength = start.parameter(f"{own.name}.strength")
         step = STEP * USUAL.get(own.quantity, 1.0)
         try:
-            moved = likelihood.changes(start.set({strength.name: step}).circuit(), here.changes.extremes)
+            moved = likelihood.changes(start.set({strength.name: step}).circuit(), here.changes)
         except InputError:
             continue
         slope = moved.vector

@@ -92,7 +92,7 @@ def map_residuals(
     """
     kept = ~residual.background
     e = np.clip(residual.e, -MAX_RESIDUAL_SD, MAX_RESIDUAL_SD)
-    group, pixel = likelihood.group, likelihood.pixel
+    group, pixel, pixels = likelihood.group, likelihood.pixel, likelihood.pixels  # also those without a scored event
     spread = np.where(kept, (e * e - 1.0 + residual.taken) / np.sqrt(2.0), 0.0)
     last = _last_residual(likelihood, np.where(kept, e, 0.0))
     level, log_scale = tangent.level, np.sqrt(2.0) * tangent.log_scale
@@ -104,9 +104,9 @@ def map_residuals(
     thresholds = _Response(residual.apart, tangent.apart, groups // 2, groups, every, demean=False)
     polarity = Factor("polarity", group % 2, tuple(f"all {sign} events" for sign in POLARITY))
     jobs = (
-        ("level", _Basis(levels), factors, 0.0),
-        ("spread", _Basis(within), factors, SKEWNESS_OF_SQUARE),
-        ("spread", _Basis(across, levels, thresholds), (polarity,), SKEWNESS_OF_SQUARE),
+        ("level", _Basis(pixels, levels), factors, 0.0),
+        ("spread", _Basis(pixels, within), factors, SKEWNESS_OF_SQUARE),
+        ("spread", _Basis(pixels, across, levels, thresholds), (polarity,), SKEWNESS_OF_SQUARE),
     )
     cells: list[Cell] = []
     by_pixel: list[np.ndarray] = []
@@ -115,7 +115,7 @@ def map_residuals(
             scored, sums = basis.scores(factor, name, skewness, criteria)
             cells += scored
             by_pixel.append(sums)
-    memory = _memory(e * kept, last, factors[0], pixel, criteria.min_cell_events)
+    memory = _memory(e * kept, last, factors[0], pixel, pixels, criteria.min_cell_events)
     cells += memory[0]
     by_pixel.append(memory[1])
     sums = np.concatenate(by_pixel, axis=1)
@@ -154,9 +154,8 @@ class _Response:
 class _Basis:
     """A response and what its maps are projected off: its tangents, beside those of other responses."""
 
-    def __init__(self, own: _Response, *beside: _Response):
-        self.own, every = own, (own, *beside)
-        self.pixels = int(own.pixel.max(initial=0)) + 1
+    def __init__(self, pixels: int, own: _Response, *beside: _Response):
+        self.pixels, self.own, every = pixels, own, (own, *beside)
         q, r = np.linalg.qr(np.concatenate([response.J for response in every]))
         left = np.abs(np.diag(r))
         q = q[:, left > max(MIN_COLUMN_NORM, 1e-9 * left.max(initial=0.0))]
@@ -221,9 +220,9 @@ def _last_residual(likelihood: EventTimes, e: np.ndarray) -> np.ndarray:
     return last
 
 
-def _memory(e, last, factor: Factor, pixel, min_events: int) -> tuple[list[Cell], np.ndarray]:
+def _memory(e, last, factor: Factor, pixel, pixels: int, min_events: int) -> tuple[list[Cell], np.ndarray]:
     """Cells of e · (residual before)."""
-    k, pixels = len(factor.labels), int(pixel.max(initial=0)) + 1
+    k = len(factor.labels)
     variance = np.bincount(factor.cell, last**2, k)
     count = np.bincount(factor.cell, last != 0.0, k)
     usable = count >= min_events

@@ -101,6 +101,7 @@ def fit_base(
     work = work or Work()
     some = [gather_evidence(recordings, split, model, between, seed) for between in BETWEEN_SAMPLES]
     start = _screened(some[0].screening, some[0].nominal, model, cache, work).model
+    some = [evidence.each(lambda pool: pool.with_gains_held(start.circuit())) for evidence in some]
     ends = map_fits(work, _FromHere(start), [(evidence.training, evidence.nominal) for evidence in some], cache)
     evidence, end = max(zip(some, ends, strict=True), key=lambda pair: pair[1].value)
     return evidence, _search_elsewhere(evidence, end, criteria, seed, cache, work)

@@ -18,7 +18,6 @@ An event at the end of a silence (`density_release.py`) came with a chance P all
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,7 +26,6 @@ from scipy.special import log_ndtr, ndtri_exp
 from pixelid.fit.coordinates import Coordinates
 from pixelid.likelihood.density_forward import spreads_of_others
 from pixelid.likelihood.event_times import EventTimes
-from pixelid.likelihood.extremes import Extremes
 from pixelid.likelihood.layout import NOTHING, StackedChanges
 from pixelid.likelihood.losses import missed_of
 from pixelid.stages.circuit import Circuit
@@ -43,8 +41,8 @@ LARGEST = 40.0  # residual: beyond it Φ is 0 in double precision
 class Residuals:
     """e: (n,) residuals, 0 for background events;  log_scale: (n,) log of the spread they are measured in;
     log_rate: (n,) log speed of the change at the event;  background: (n,) events left to the background;
-    extremes: where the changes' extremes are, which circuits close by share;  at_release: (n,) events at the end of a
-    silence, or empty;  taken: (n,) share of the residual's variance that the posterior mean of its threshold takes;
+    changes: from which those under circuits close by are derived;  at_release: (n,) events at the end of a silence, or
+    empty;  taken: (n,) share of the residual's variance that the posterior mean of its threshold takes;
     apart: (g,) mean level of each pixel's and polarity's events about the population, in standard deviations
     """
 
@@ -52,7 +50,7 @@ class Residuals:
     log_scale: np.ndarray
     log_rate: np.ndarray
     background: np.ndarray
-    extremes: Sequence[Extremes]
+    changes: StackedChanges
     at_release: np.ndarray
     taken: np.ndarray
     apart: np.ndarray
@@ -99,7 +97,7 @@ def residuals(likelihood: EventTimes, circuit: Circuit, changes: StackedChanges 
     taken = np.where(terms.background | terms.at_once, 0.0, terms.group_variance[group] / terms.scale**2)
     apart = np.where(terms.weight_sum > 0.0, terms.weighted_mean - terms.centre, 0.0) / np.sqrt(terms.mean_variance)
     return Residuals(
-        shown, np.log(terms.scale), terms.log_rate, terms.background, terms.changes.extremes, terms.at_release, taken,
+        shown, np.log(terms.scale), terms.log_rate, terms.background, terms.changes, terms.at_release, taken,
         apart,
     )  # fmt: skip
 
@@ -107,7 +105,7 @@ def residuals(likelihood: EventTimes, circuit: Circuit, changes: StackedChanges 
 def expected_log_rate(likelihood: EventTimes, circuit: Circuit, here: Residuals) -> np.ndarray:
     """(n,) log speed of the change at the time when each event was expected."""
     earlier = circuit.later_by(NUDGE_S)
-    there = likelihood.terms(earlier, likelihood.changes(earlier, here.extremes))
+    there = likelihood.terms(earlier, likelihood.changes(earlier, here.changes))
     rate = np.exp(here.log_rate)
     growing = np.where(here.background | there.background, 0.0, (rate - np.exp(there.log_rate)) / NUDGE_S)
     return np.log(np.clip(rate - growing * here.late, 0.01 * rate, 100.0 * rate))
@@ -144,7 +142,7 @@ def _moved(
     moved = x.copy()
     moved[i] += h
     circuit = coordinates.circuit(moved)
-    return residuals(likelihood, circuit, likelihood.changes(circuit, here.extremes))
+    return residuals(likelihood, circuit, likelihood.changes(circuit, here.changes))
 
 
 def compare(here: Residuals, there: Residuals) -> tuple[np.ndarray, np.ndarray]:

@@ -100,7 +100,7 @@ def _conditionals(
     likelihood, circuit = EventTimes(with_times(recordings, times)), model.circuit()
     later = circuit.with_(refractory=circuit.refractory + NUDGE_S)
     here = likelihood.terms(circuit)
-    there = likelihood.terms(later, likelihood.changes(later, here.changes.extremes))
+    there = likelihood.terms(later, likelihood.changes(later, here.changes))
     mute = np.zeros(likelihood.events, bool)  # where the model cannot have fired
     for terms in (here, there):
         mute |= (terms.z == 0.0) & (terms.log_rate == 0.0)

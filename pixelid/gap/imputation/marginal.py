@@ -140,7 +140,6 @@ def _linearised(likelihood: EventTimes, stamps: Sequence[np.ndarray], coordinate
     """(terms at x, the intervals linearised)."""
     circuit = coordinates.circuit(x)
     here = likelihood.terms(circuit)
-    extremes = here.changes.extremes
     slopes = slopes_of(likelihood, circuit, here)
     aside = slopes.aside
     e = here.z - here.group_mean[likelihood.group]
@@ -151,7 +150,7 @@ def _linearised(likelihood: EventTimes, stamps: Sequence[np.ndarray], coordinate
         moved = x.copy()
         moved[i] += h
         other = coordinates.circuit(moved)
-        terms = likelihood.terms(other, likelihood.changes(other, extremes))
+        terms = likelihood.terms(other, likelihood.changes(other, here.changes))
         shift = terms.z - here.z - e * (terms.log_rate - here.log_rate)
         aside = aside | terms.background
         J[:, i] = shift / h

@@ -110,12 +110,13 @@ def _begin(recordings: Sequence[Recording], model: Model, context: Context) -> P
     shortened = tuple(_shortened(r) for r in recordings)
     options, report = context.options, context.report
     report("base model", 0.02)
-    objective, optimum, details, _ = fit_pooled(shortened, model, {}, lambda what, share: report(what, 0.3 * share))
+    found = fit_pooled(shortened, model, {}, lambda what, share: report(what, 0.3 * share))
+    objective, optimum = found.objective, found.optimum
     nuisances = objective.coordinates.nuisances_at(optimum.x)
     parameters = [
         p for name, p in objective.coordinates.nuisances.items() if not objective.coordinates.model.knows(name)
     ]
-    stretches = cut_into_stretches(objective.likelihood, details["dispersion"], parameters, options.seed)
+    stretches = cut_into_stretches(objective.likelihood, found.dispersion, parameters, options.seed)
     fitted = objective.coordinates.model_at(optimum.x)
     base = stretches.fit(fitted, nuisances, stretches.part(*TRAINING), STEPS)
     cells = tuple(sort_bins(stretches, base))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import norm
@@ -21,6 +21,7 @@ from pixelid.fit.maximise import Maximum, maximise
 from pixelid.gap.attribute.attribute import Candidate
 from pixelid.gap.criteria import Criteria
 from pixelid.gap.detect.pixels import PixelEvidence
+from pixelid.gap.options import Options
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.shot_noise import under_shot_noise
 from pixelid.model.model import Model
@@ -37,30 +38,49 @@ def settled_under_noise(evidence: PixelEvidence, model: Model, cache: FitCache |
     return evidence.each(lambda pool: _under(pool, circuit)), fit
 
 
-def gains_without(
-    evidence: PixelEvidence, truth: Model, candidates: Sequence[Candidate[Maximum]], seed: int, cache: FitCache | None,
-    work: Work,
-) -> np.ndarray:  # fmt: skip
-    """(candidates, replicates) nats that effects gain in sessions simulated from a model that lacks them.
+def beyond_sessions_without(
+    evidence: PixelEvidence, truth: Model, able: Sequence[Candidate[Maximum]], tried: int, options: Options,
+    cache: FitCache | None, work: Work,
+) -> list[Candidate[Maximum]]:  # fmt: skip
+    """Candidates whose p is the chance of what each gains beyond its gain in sessions simulated without it.
 
-    evidence: without noise;  truth: with it, its density held
+    Sessions of a few pixels are made first, and of as many as were fitted only where those leave it open.
+
+    Args:
+        evidence: Without noise.
+        truth: What the sessions are simulated from, its noise held; it lacks the candidates.
+        able: The candidates.
+        tried: Number of effects.
+        options: Of the search.
+        cache: Fits already made.
+        work: Who simulates and fits.
     """
-    gains = _GainsWithout(evidence.fitting, truth, tuple(candidate.end.model for candidate in candidates))
-    seeds = [seed + SEED_OFFSET + 31 * k for k in range(REPLICATES)]
-    return np.array(map_fits(work, gains, seeds, cache)).T
+    judged = list(able)
+    for pool in (evidence.screening, evidence.fitting):
+        gains = _GainsWithout(pool, truth, tuple(candidate.end.model for candidate in able))
+        seeds = [options.seed + SEED_OFFSET + 31 * k for k in range(REPLICATES)]
+        without = np.array(map_fits(work, gains, seeds, cache)).T
+        share = pool.events / evidence.fitting.events
+        judged = [
+            replace(c, p=chance_of_excess(c.gain, own, tried, options.criteria, share))
+            for c, own in zip(able, without, strict=True)
+        ]
+        if pool is evidence.fitting or min(c.p for c in judged) < options.alpha_each:
+            break
+    return judged
 
 
 @dataclass(frozen=True)
 class _GainsWithout:
-    """Nats that models with an effect gain in one session, simulated under `truth` with a seed."""
+    """Nats that models with an effect gain in one session of a pool's pixels, simulated under `truth` with a seed."""
 
-    fitting: EventTimes
+    pool: EventTimes
     truth: Model
     models: tuple[Model, ...]
 
     def __call__(self, seed: int, cache: FitCache | None) -> list[float]:
-        fitting = self.fitting
-        made = EventTimes(simulate_again(fitting.recordings, self.truth, fitting.flat_pixels, None, seed))
+        like = self.pool
+        made = EventTimes(simulate_again(like.recordings, self.truth, like.flat_pixels, None, seed))
         circuit, base = _settled(made, self.truth, cache)
         pool = _under(made, circuit)
         ends = [maximise(pool, m, tolerance=0.02, max_steps=MAX_STEPS, cache=cache) for m in self.models]
@@ -82,11 +102,12 @@ def _under(events: EventTimes, circuit: Circuit) -> EventTimes:
     return under_shot_noise(events.weighed(circuit), circuit)
 
 
-def chance_of_excess(gain: float, without: np.ndarray, tried: int, criteria: Criteria) -> float:
+def chance_of_excess(gain: float, without: np.ndarray, tried: int, criteria: Criteria, share: float = 1.0) -> float:
     """Chance of a gain where sessions without the effect gain as much as `without`, of `tried` effects.
 
-    The root of twice a gain is about normal, of unit variance.
+    The root of twice a gain is about normal, of unit variance; gains grow with events.  share: of the events behind
+    `gain` that such a session has
     """
-    usual = float(np.mean(np.sqrt(2.0 * without)))
-    error = math.hypot(math.sqrt(1.0 + 1.0 / len(without)), criteria.artefact_error_share * usual)
+    usual = float(np.mean(np.sqrt(2.0 * without / share)))
+    error = math.hypot(math.sqrt(1.0 + 1.0 / (share * len(without))), criteria.artefact_error_share * usual)
     return min(1.0, tried * float(norm.sf((math.sqrt(2.0 * max(gain, 0.0)) - usual) / error)))

@@ -19,6 +19,7 @@ from pixelid.gap.rounds import amended, entry, withdrawn
 from pixelid.gap.shot_noise.shot_noise import ShotNoise, find_shot_noise, looks_like_shot_noise
 from pixelid.gap.state import Hypothesis, State
 from pixelid.gap.steps.name_beside_shot_noise import name_beside_shot_noise
+from pixelid.gap.steps.name_in_noise import named_in_noise
 
 
 @dataclass(frozen=True)
@@ -40,14 +41,26 @@ class _Found:
     index: int
 
 
+def try_before_first_effect(state: State, context: Context) -> State:
+    """The state with what shows under the noise that the filter finds named, and shot noise where replicates bear all
+    of that out; as it is where the base does not look like shot noise, or they do not."""
+    if state.imputed or not looks_like_shot_noise(state.hypothesis.seen, context.options.criteria):
+        return state
+    more = named_in_noise(state.with_global_p(), context)
+    if more is None:
+        return state
+    if not more.remainder(context.options.alpha_each):
+        return more.then(Phase.SHOT_NOISE)
+    more, noise = _look_beside(more, more.hypothesis, context)
+    if noise is None or noise.corrected.seen.p < context.options.alpha_each:
+        return replace(state, shot_noise_tried=more.shot_noise_tried)
+    return _named(more, _Found(noise, more.hypothesis, len(more.steps), len(more.rounds) - 1)).then(Phase.DISCOUNT)
+
+
 def try_before_next_effect(state: State, context: Context) -> State:
-    """Shot noise tried before any effect, where the base looks like it, and after one, where the base did or what is
-    left scatters more than thresholds of such pixels do."""
+    """Shot noise tried after an effect, where the base looked like it, or what is left scatters more than thresholds of
+    such pixels do."""
     hypothesis, criteria = state.hypothesis, context.options.criteria
-    if not state.steps:
-        if state.turn > 0 or state.imputed or not looks_like_shot_noise(hypothesis.seen, criteria):
-            return state
-        return explain_by_shot_noise(state.with_global_p(), (Trial(hypothesis, 0),), context)
     first = state.steps[0].before
     trials = (Trial(None, 0), Trial(hypothesis, len(state.steps)))
     if state.turn == 1 and looks_like_shot_noise(first.seen, criteria):

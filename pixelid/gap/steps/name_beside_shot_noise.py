@@ -22,7 +22,7 @@ from pixelid.gap.imputation.impute import JITTER
 from pixelid.gap.options import Context
 from pixelid.gap.phases import Phase
 from pixelid.gap.rounds import attribution_entry
-from pixelid.gap.shot_noise.beside import chance_of_excess, gains_without, settled_under_noise
+from pixelid.gap.shot_noise.beside import beyond_sessions_without, settled_under_noise
 from pixelid.gap.shot_noise.shot_noise import ShotNoise, find_shot_noise
 from pixelid.gap.state import State
 from pixelid.gap.steps.name_effect import MAX_ROUNDS, grown_by, with_accepted, with_refused
@@ -102,17 +102,14 @@ def _to_be_asked(
     """
     if not able:
         return []
-    hypothesis, criteria = state.hypothesis, context.options.criteria
-    without = gains_without(
-        hypothesis.evidence, hypothesis.model, able, context.options.seed, context.cache, context.work
+    hypothesis, options = state.hypothesis, context.options
+    judged = beyond_sessions_without(
+        hypothesis.evidence, hypothesis.model, able, tried, options, context.cache, context.work
     )
-    judged = [
-        replace(c, p=chance_of_excess(c.gain, gains, tried, criteria)) for c, gains in zip(able, without, strict=True)
-    ]
     least, most = min(judged, key=lambda c: (c.p, -c.gain)), max(judged, key=lambda c: c.gain)
     promising = least.p < PROMISING_P * tried
     asked = [least] if promising else []
-    if most.gain > criteria.min_shot_noise_gain_nats and not (promising and most is least):
+    if most.gain > options.criteria.min_shot_noise_gain_nats and not (promising and most is least):
         asked.append(most)
     return asked
 

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from pixelid import stages
 from pixelid.fit.maximise import Maximum, maximise, maximise_with_restarts
 from pixelid.gap.attribute.alternative import stands
 from pixelid.gap.attribute.attribute import Attribution, Candidate, attribute, may_be_named
 from pixelid.gap.attribute.candidates import (
     SLEW,
-    SLEWS_THROUGH,
-    USUAL_POLES,
     canonical,
     holds_together,
     impossible,
@@ -303,7 +302,8 @@ def _another_first(state: State, attribution: Attribution[Maximum], context: Con
     able = [c for c in attribution.candidates if c.effect != JITTER and may_be_named(c, options)]
     if not able:
         return None
-    other = next((c for c in able if c.effect in USUAL_POLES), able[0])
+    others_wait = {name for effect in stages.LIBRARY.values() for name in effect.tried_after}
+    other = next((c for c in able if c.effect in others_wait), able[0])
     evidence = hypothesis.evidence.weighed(hypothesis.fit.model.circuit())
     standing = stands(evidence, hypothesis.fit, hypothesis.seen, other, options, context.cache)
     if standing.hopeless:
@@ -320,7 +320,7 @@ def _slewing_through_new_poles(state: State, least: float, context: Context) -> 
     """
     options, before = context.options, state.hypothesis
     model, start = before.fit.model, before.start
-    poles = [pole for pole in SLEWS_THROUGH if not model.has(pole)]
+    poles = [pole for pole in stages.effect(SLEW).requires if not model.has(pole)]
     unwanted = {*poles, SLEW} & {*options.leave_out, *state.given_up}
     if not poles or unwanted or not state.remainder(options.alpha_each):
         return None

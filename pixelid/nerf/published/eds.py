@@ -48,7 +48,7 @@ def read(path: Path, camera: str = "") -> Source:
     """A sequence of EDS.
 
     Args:
-        path: its folder; the calibration may lie in it, below it or beside it.
+        path: its folder; the calibration may lie in it, below it or next to it.
         camera: the sensor's name in the calibration; by default the one whose topic speaks of events, else cam1.
 
     Returns:

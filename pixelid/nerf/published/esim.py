@@ -77,7 +77,7 @@ def _bag(path: Path) -> Path:
 
 
 def _conf(bag: Path) -> Path | None:
-    """`esim.conf` (or one named like the bag) beside the bag."""
+    """`esim.conf` (or one named like the bag) next to the bag."""
     return next((f for f in (bag.with_name("esim.conf"), bag.with_suffix(".conf")) if f.is_file()), None)
 
 

@@ -58,7 +58,7 @@ def read_flags(file: Path) -> dict[str, str]:
 
 
 def pixel_of(file: Path, flags: dict[str, str]) -> dict[str, Any]:
-    """The keys of `camera_calibration.npz` that flags tell: those of the circuit only where the file has any of them.
+    """The keys of `camera_calibration.npz` that flags state: those of the circuit only where the file has any of them.
 
     Raises:
         InputError: a flag that is no number, or events of images that are not turned into logarithms.

@@ -59,7 +59,7 @@ class Pictures:
 
 
 def equal_exposures(file: Path, why: str) -> tuple[str, ...]:
-    """The note of `Pictures` whose exposures are not known, of the file that should tell them."""
+    """The note of `Pictures` whose exposures are not known, of the file that should state them."""
     return (f"exposures of the views are taken as equal ({file.name}: {why})",)
 
 
@@ -195,7 +195,8 @@ def read_table(file: Path, columns: int) -> np.ndarray:
 
 
 def found(folder: Path, *patterns: str) -> Path | None:
-    """The file that matches the first pattern that any does: in the folder, one or two levels below it, then beside it.
+    """The file that matches the first pattern that any does: in the folder, one or two levels below it, then in its
+    parent.
 
     Raises:
         InputError: several match, and their names do not say which belongs to the folder.
@@ -226,5 +227,5 @@ def wanted(folder: Path, *patterns: str) -> Path:
     """
     path = found(folder, *patterns)
     if path is None:
-        raise InputError(f"{folder}: {' or '.join(patterns)}: no such file there, two levels below or beside it")
+        raise InputError(f"{folder}: {' or '.join(patterns)}: no such file there, two levels below, or in its parent")
     return path

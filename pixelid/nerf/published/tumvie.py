@@ -1,4 +1,4 @@
-"""TUM-VIE (Klenk et al., IROS 2021): two Prophesee Gen 4 sensors beside two cameras, under motion capture.
+"""TUM-VIE (Klenk et al., IROS 2021): two Prophesee Gen 4 sensors next to two cameras, under motion capture.
 
 NAME-events_left.h5         events/{x, y, t, p}, t in µs; compressed by Blosc
 mocap_data.txt              lines of t (µs), x, y, z, qx, qy, qz, qw of the marker, in NAME-vi_gt_data/
@@ -51,7 +51,7 @@ def read(path: Path, camera: str = "left") -> Source:
     """A sequence of TUM-VIE.
 
     Args:
-        path: its folder; calibrations may lie in it, below it or beside it.
+        path: its folder; calibrations may lie in it, below it or next to it.
         camera: "left" or "right".
 
     Returns:
@@ -143,7 +143,7 @@ def _camera(content: Mapping[str, Any], index: int, file: Path) -> Camera:
 
 
 def _pictures(path: Path, side: str, camera: Camera, pose: np.ndarray) -> Pictures | None:
-    """The frames of the camera beside the sensor, where they are there."""
+    """The frames of the camera next to the sensor, where they are there."""
     stamps = found(path, f"image_timestamps_{side}.txt")
     if stamps is None:
         return None

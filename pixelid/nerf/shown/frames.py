@@ -67,7 +67,7 @@ def make_frames(
         progress: called with the share that is done.
 
     Returns:
-        What is told of them.
+        What is stated of them.
     """
     made = Made()
     some = set(np.linspace(0, len(way) - 1, min(FEW, len(way))).astype(int).tolist())

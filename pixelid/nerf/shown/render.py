@@ -31,7 +31,7 @@ BRIGHTEST = 0.995  # quantile of the first frames that becomes white where no vi
 
 @dataclass(frozen=True)
 class Wanted:
-    """What is made beside the frames."""
+    """What is made in addition to the frames."""
 
     video: bool = False
     depth: bool = False
@@ -87,7 +87,7 @@ def render(
         saved: the reconstruction.
         way: the cameras.
         folder: an existing one, which is filled.
-        wanted: what beside the frames.
+        wanted: what in addition to the frames.
         supersample: rays per pixel and side.
         seed: recorded; nothing here is random.
         progress: called with what is done and the fraction.
@@ -165,7 +165,7 @@ def _correction(saved: SavedReconstruction) -> Correction | None:
 def _tone(
     saved: SavedReconstruction, correction: Correction | None, way: Way, dark: np.ndarray
 ) -> tuple[Callable[[np.ndarray], np.ndarray], list[str]]:
-    """Radiance (H, W, C) → what a picture shows of it, white at 1, and what has to be said about it.
+    """Radiance (H, W, C) → what a picture shows of it, white at 1, and what has to be stated about it.
 
     With test views, their unit: the correction a·L^b − c of the scores, white at 1.  Without, nobody knows the
     exponent: radiance is scaled to the brightest of the first frame and coded by sRGB's 1/2.2.

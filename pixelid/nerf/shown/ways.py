@@ -9,11 +9,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pixelid.documents import read_json
 from pixelid.errors import InputError
 from pixelid.nerf.arrays import finite, read_arrays, unit_quaternions
 from pixelid.nerf.calibration import read_calibration
 from pixelid.nerf.camera import Camera, pinhole
+from pixelid.nerf.colmap import colmap_images, read_transforms
 from pixelid.nerf.dataset import CALIBRATION, POSES
 from pixelid.nerf.scenes import FIELD_OF_VIEW, looking_at_centre, on_sphere
 from pixelid.nerf.view_cameras import camera_of_document, stated_size, states_camera
@@ -34,7 +34,7 @@ SPIRAL_TURNS = 2.0
 
 
 class Listed(NamedTuple):
-    """Where poses are listed beside their pictures: a `transforms_*.json`, which of its frames, of which data set."""
+    """Where poses are listed next to their pictures: a `transforms_*.json`, which of its frames, of which data set."""
 
     file: Path
     which: list[int]
@@ -101,9 +101,10 @@ def way_of_file(path: Path, size: tuple[int, int] | None, fov: float | None = No
     """The poses of a file, in its order.
 
     Args:
-        path: a `transforms_*.json`, a dataset folder (its test views, else val, else train), or a `camera_poses.npz`.
+        path: a `transforms_*.json`, a dataset folder (its test views, else val, else train), a `camera_poses.npz`, or
+            COLMAP's `images.txt` or `images.bin` or their folder.
         size: width and height in pixels, of the whole view; by default those of the first picture, of the event sensor
-            where poses lie beside its calibration, or 400 × 400.
+            where poses lie next to its calibration, or 400 × 400.
         fov: horizontal field of view [rad] where no camera is stated; by default `FIELD_OF_VIEW`.
         most: poses; more are thinned out evenly.
 
@@ -111,12 +112,13 @@ def way_of_file(path: Path, size: tuple[int, int] | None, fov: float | None = No
         The way.
 
     Raises:
-        InputError: naming what the file lacks; a field of view beside a camera that is stated.
+        InputError: naming what the file lacks; a field of view with a camera that is stated.
     """
     dataset = path if path.is_dir() else None
     path = path if dataset is None else _inside(dataset)
     if not path.is_file():
-        raise InputError(f"{path}: no such file; expected transforms_*.json, a dataset folder, or {POSES}")
+        known = f"transforms_*.json, a dataset folder, {POSES}, or COLMAP's images.txt or images.bin"
+        raise InputError(f"{path}: no such file; expected {known}")
     if path.suffix == ".npz":
         arrays = read_arrays(path, ("T_wc_position", "T_wc_orientation"))
         position = finite(path, "T_wc_position", arrays["T_wc_position"])
@@ -127,7 +129,7 @@ def way_of_file(path: Path, size: tuple[int, int] | None, fov: float | None = No
         rotation = Rotation.from_quat(turned[some]).as_matrix()
         names = tuple(f"pose_{k:05d}" for k in some)
         return Way(position[some], rotation, _camera_beside(path, size, fov), names, len(position) - len(some))
-    document = read_json(path)
+    document = read_transforms(path)
     frames = frames_of(path, document)
     some = _thinned(len(frames), most)
     poses = np.array([pose_of_frame(path, k, frames[k]) for k in some])
@@ -144,7 +146,9 @@ def _inside(folder: Path) -> Path:
             return views / f"transforms_{stage}.json"
     if (folder / POSES).is_file():
         return folder / POSES
-    raise InputError(f"{folder}: neither {FOLDER}/ nor {POSES} there; expected a dataset")
+    if (images := colmap_images(folder)) is not None:
+        return images
+    raise InputError(f"{folder}: neither {FOLDER}/ nor {POSES} nor COLMAP's images.txt there; expected a dataset")
 
 
 def _thinned(number: int, most: int) -> list[int]:
@@ -153,7 +157,7 @@ def _thinned(number: int, most: int) -> list[int]:
 
 
 def _camera_beside(poses: Path, size: tuple[int, int] | None, fov: float | None) -> Camera:
-    """The event camera whose calibration lies beside its poses, in `size` pixels; an ideal one where there is none."""
+    """The event camera whose calibration lies next to its poses, in `size` pixels; an ideal one where there is none."""
     file = poses.with_name(CALIBRATION)
     if not file.is_file():
         return pinhole(*(size or DEFAULT_SIZE), fov or FIELD_OF_VIEW)
@@ -172,7 +176,7 @@ def _stated_camera(
 ) -> Camera:  # fmt: skip
     """The camera that a document states, in `size` pixels; an ideal one where it states none."""
     own = _shape(path, picture)
-    shape = size or own or DEFAULT_SIZE
+    shape = size or own or stated_size(document) or DEFAULT_SIZE
     if not states_camera(document):
         return pinhole(*shape, fov or FIELD_OF_VIEW)
     _refuse_angle(path, fov)

@@ -1,4 +1,4 @@
-"""Figures of a flicker fit: phase histograms beside the fit, and maps of amplitude and phase."""
+"""Figures of a flicker fit: phase histograms and the fit, and maps of amplitude and phase."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def draw_phases(fit: FlickerFit, axes: Any = None) -> Any:
         axis.set_axis_off()
     for top, bottom in zip(axes[::2, 0], axes[1::2, 0], strict=True):
         top.set_ylabel("events per bin")
-        bottom.set_ylabel("difference\n(chance: ±1)")
+        bottom.set_ylabel("difference (σ)")
     handles = axes[0, 0].get_legend_handles_labels()
     axes[0, 0].figure.legend(*handles, loc="outside upper right", ncols=4, fontsize=7)
     return axes

@@ -84,7 +84,7 @@ class FlickerFit:
         return [g for g in self.groups if g.known] if self.lock.sure else []
 
     def judge(self) -> tuple[Status, str]:
-        """(status, advice): the worst that is to be said, and what to do about it."""
+        """(status, advice): the worst that is to be stated, and what to do about it."""
         if not self.lock.sure:
             why = f"No light of a frequency within 2 % of {self.near_hz:g} Hz shows in the events: check --frequency."
             return Status.not_identified, why

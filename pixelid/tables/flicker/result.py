@@ -145,7 +145,7 @@ def disagreements(fit: FlickerFit) -> list[str]:
             f"the level of the last event is remembered by {memory:.2f} only (median; 1 is the model's "
             f"comparator, which is "
             f"{gain:.0f} nats worse): a lower cutoff near the flicker's frequency, or events that noise "
-            "triggers, would do that, and this recording cannot tell which"
+            "triggers, would do that, and this recording cannot show which"
         )
     known = fit.known
     if len(known) > 4:

@@ -1,6 +1,6 @@
 """A camera as latencies know it: a circuit in W/m², thresholds and delays per setting, and what the set-up adds.
 
-In a model file this is the model and a table `[latency]` beside it, which other commands pass over:
+In a model file this is the model and a table `[latency]` next to it, which other commands pass over:
 
     [latency]            camera, led_off_fraction, delay_sigma, edge_jitter_s, relative_scatter
     [latency.lens]       lens → how much of the stated irradiance reaches a pixel, relative to the first
@@ -217,7 +217,7 @@ def load_cameras(path: Path) -> tuple[Camera, ...]:
 def camera_for(cameras: Sequence[Camera], name: str, lenses: Sequence[str]) -> Camera:
     """The camera of a table's label, knowing all lenses that it was used with.
 
-    A single camera stands in for one that was never fitted.  The factor of a lens that it was not used with is that of
+    A single camera replaces one that was never fitted.  The factor of a lens that it was not used with is that of
     the camera most like it.
 
     Raises:

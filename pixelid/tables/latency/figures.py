@@ -1,4 +1,4 @@
-"""Figures of latency tables: medians over irradiance beside the model, and which stage takes how much of them."""
+"""Figures of latency tables: medians over irradiance and the model, and which stage takes how much of them."""
 
 from __future__ import annotations
 

@@ -109,7 +109,7 @@ def fit_camera(name: str, cells: Cells, *, one_delay: bool = False, start: Camer
 def _exchanged(fit: TableFit) -> list[list[float]]:
     """Values with the photoreceptor's own pole β and one of the later stages' exchanged.
 
-    In a step response poles commute; only that α L / β follows the light tells which of them is the photoreceptor's.
+    In a step response poles commute; only that α L / β follows the light shows which of them is the photoreceptor's.
     """
     values = {p.name: float(np.exp(x)) for p, x in zip(fit.parameters, fit.x, strict=True)}
     starts = []

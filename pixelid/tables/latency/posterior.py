@@ -122,7 +122,7 @@ def sample_fit(
 
 
 def _gaussian(fit: CameraFit) -> Proposal:
-    """The Gaussian about the maximum, ln σ beside x."""
+    """The Gaussian about the maximum, ln σ with x."""
     from pixelid.sample.proposal import Proposal
 
     regression = fit.regression

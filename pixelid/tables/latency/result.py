@@ -92,7 +92,7 @@ def predicted_result(table: LatencyTable, cameras: Sequence[Camera], *inputs: Pa
 def _missed(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     """How what was measured of cameras is missed, in a few words each; spoiled cells and all.
 
-    A row is told by its median, where it has none by its extremes.
+    A row is judged by its median, where it has none by its extremes.
     """
     said = []
     for camera in dict.fromkeys(row.get("camera", "-") for row in rows):
@@ -310,7 +310,7 @@ def _errors(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def _disagreements(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """The rows that the model disbelieves most, one sentence each."""
+    """The rows that the model down-weights most, one sentence each."""
     spoiled = [row for row in rows if abs(row["standardised"] or 0.0) > SUSPECT_SCALES]
     spoiled.sort(key=lambda row: -abs(row["standardised"]))
     said = [

@@ -4,7 +4,7 @@ A prediction costs tens of milliseconds per light (a second where pixels differ)
 fit's logarithmic coordinates.  So slopes are differences once, `fit_table` finds the optimum of the linear table within
 `TRUST`, and the table itself says whether it is then better described, as the linear one promised.  Slopes follow each
 step by the secant (Broyden 1965, Math. Comp. 19, 577); where they promise too much they are differences again, and
-where those do the step is halved.  Rest is told by differences.  What is reported is the best place visited, with
+where those do the step is halved.  Rest is judged by differences.  What is reported is the best place visited, with
 errors of its own linearisation.
 
 Three searches by `ROUGH` rates of pixels that do not differ come near; the best goes on with what the model has of
@@ -210,7 +210,7 @@ def _settled(
     """The end of one search by rough rates times e^`shift`, from where the model has it begin or from another's end.
 
     Slopes of `ROUGH` rates lead near an optimum.  Along directions that the rates hardly fix they are not good enough
-    for the rest of the way, and to tell rest, where a table scatters by 1 %.
+    for the rest of the way, and to detect rest, where a table scatters by 1 %.
 
     near: nats; end where slopes, of differences or not, promise no more, for other searches to go on from
     scatter: of the table where it is known; fitted where None
@@ -277,7 +277,7 @@ def _promise(
 
 
 def starting_model(table: NoiseTable, model: Model) -> NoiseModel:
-    """What is fitted: the model, with the effects that noise tables show beside it."""
+    """What is fitted: the model, with the effects that noise tables show in addition to it."""
     circuit = in_unit(model, table.unit)
     if table.pixels:  # recordings: what else there is, the model says
         return NoiseModel(table, circuit)

@@ -1,4 +1,4 @@
-"""The states of the stages that an event's output and slope do not tell, and that the next event depends on."""
+"""The states of the stages that an event's output and slope do not identify, and that the next event depends on."""
 
 from __future__ import annotations
 

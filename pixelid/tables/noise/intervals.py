@@ -31,7 +31,7 @@ class NoiseIntervals:
         time_s: (times,) increasing, the dead time not included.
         passed: (2, 2, times) share of all intervals that began with an ON (0) or OFF (1) event and ended with an ON or
             OFF event within the time.
-        dead_s: dead time, which an interval between events has beside its wait.
+        dead_s: dead time, which an interval between events has in addition to its wait.
     """
 
     time_s: np.ndarray

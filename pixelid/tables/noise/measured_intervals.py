@@ -31,7 +31,7 @@ class MeasuredIntervals:
     seen_s: float
 
     def compared(self, shares: np.ndarray | None) -> dict[str, Any]:
-        """What noise.json says of them beside predicted shares (2, 2, bins); None: not predicted."""
+        """What noise.json says of them and predicted shares (2, 2, bins); None: not predicted."""
         found = _shares(self.counts.sum(0))
         expected = None if shares is None else _shares(shares * np.clip(1.0 - CENTRES_S / self.seen_s, 0.0, 1.0))
         expected = expected if expected is not None and expected.any() else None  # all too long to be seen

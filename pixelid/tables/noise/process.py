@@ -76,7 +76,7 @@ class NoiseProcess:
         return self.P @ self.seen.T / np.diag(self.seen_covariance)
 
     def hidden(self, least: float) -> tuple[np.ndarray, np.ndarray]:
-        """Hidden states, what output and slope do not tell: independent, of unit variance at any crossing.
+        """Hidden states, what output and slope do not identify: independent, of unit variance at any crossing.
 
         (n, hidden) what the states deviate by from `regression` per hidden state, and (hidden, n) rows that give them.
 

@@ -122,7 +122,7 @@ def predicted_result(noise: NoiseModel, scales: Mapping[str, float] | None = Non
 
 
 def _about_rows(noise: NoiseModel, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Disagreements of rates and, of recordings, intervals between their events beside those predicted."""
+    """Disagreements of rates and, of recordings, intervals between their events against those predicted."""
     table, said = noise.table, disagreements(noise.table, rows)
     if not table.intervals:
         return {"disagreements": said}
@@ -183,8 +183,8 @@ def _result_of(spec: str | Path) -> Path:
 
 
 def model_beside(spec: str | Path) -> dict[str, float]:
-    """What a folder of `pixelid noise` (or its model.toml) found beside its model, by names of `BESIDE`; empty for any
-    other model.
+    """What a folder of `pixelid noise` (or its model.toml) found in addition to its model, by names of `BESIDE`; empty
+    for any other model.
 
     Raises:
         InputError: a noise.json that is damaged.
@@ -204,7 +204,7 @@ def model_beside(spec: str | Path) -> dict[str, float]:
 def model_scales(spec: str | Path) -> dict[str, float]:
     """Name of a table → scale of its light, as a fit of `pixelid noise` found it; empty for any other model.
 
-    The first table's light is the unit.  Of tables that share a name nobody can tell which is meant: none is known.
+    The first table's light is the unit.  Of tables that share a name nobody can know which is meant: none is known.
 
     Raises:
         InputError: a noise.json that is damaged.
@@ -229,7 +229,7 @@ def model_scales(spec: str | Path) -> dict[str, float]:
 def _light_scales(table: NoiseTable, known: Mapping[str, float]) -> tuple[np.ndarray, list[str]]:
     """((rows,) factor on the light of each row, a sentence per table of which none is known).
 
-    A single table beside a model that was fitted to none has no light to compare with: nothing is said of it.
+    A single table with a model that was fitted to none has no light to compare with: nothing is stated of it.
     """
     scale, unknown = np.ones(len(table.light)), []
     for group in sorted(set(table.group.tolist())):

@@ -9,7 +9,7 @@ are spread as
 and the pool answers with  N ∫ p (c/c_max)^−p n(f; c) d ln c, n of `square_wave.edge_events` for both edges.  Where n
 is a low-pass in f/c, the integral falls as f^−p far below c_max however steep the pixels themselves are.
 
-A pool of identical pixels is the limit p → ∞; it is fitted beside for comparison.
+A pool of identical pixels is the limit p → ∞; it is fitted as well for comparison.
 """
 
 from __future__ import annotations

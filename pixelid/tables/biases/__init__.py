@@ -1,0 +1,1 @@
+"""Tables of a quantity against the codes of one bias or two: dead times, thresholds, cutoffs, latencies."""
