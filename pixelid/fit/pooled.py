@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from pixelid.errors import InputError
 from pixelid.fit.bench import held, with_bench
 from pixelid.fit.coordinates import Coordinates
-from pixelid.fit.newton import Optimum, maximise
 from pixelid.fit.own_values import with_own_values
 from pixelid.fit.pooled_rate import PooledRateObjective
+from pixelid.fit.pooled_search import BLUR, best_teeth, in_rounds, settled
 from pixelid.fit.search import Found
 from pixelid.fit.starts import align, match_counts
 from pixelid.inspection.bursts import BurstCounter, Bursts
@@ -23,15 +22,11 @@ from pixelid.recordings.recording import Recording
 SCOUT_EVENTS, SCOUT_KINDS = 10_000, 6  # per recording, and kinds of pixel, that the search from afar looks at
 LEAST_SCOUT_S = 0.1  # of each recording
 AFAR = 20.0  # times as long for the fluid limit, which costs little and on a short stretch has wrong optima
-FROM_AFAR = (0.1, 0.05)  # noise added to thresholds in the rounds of that search
+FROM_AFAR = (BLUR, BLUR / 2)  # noise added to thresholds in the rounds of that search
 # Held in a blurred pool: it would take the place of what is not yet right.
 SCATTER = ("threshold_sigma", "threshold_mismatch.sigma")
-SCALES = (0.6, 0.75, 0.9, 1.1, 1.3)  # of thresholds, where the search of a blurred pool starts
-LAST_NATS = 0.5  # promised by a step: one standard error; rough derivatives leave the root off by a part of that
-MAX_STEPS = 20  # of a round
-ROUNDS = 4  # of a search with the variances of counts of where the last one ended; they settle in two
+ROUGH_ROUNDS, ROUGH_NATS = 2, 2.0  # of all events with rough derivatives, which miss the optimum by a part of an error
 DEAD_TIMES_S = (1e-5, 1e-4, 1e-3)
-SETTLED = 0.3  # standard errors that a round may move
 FLUID = (
     "number of pooled pixels × thresholds: without threshold_noise counts are those of many small thresholds, and show "
     "only their ratio (pooled.pixels is a gauge)"
@@ -89,17 +84,19 @@ def fit_pooled(
         searches = [(PooledRate(recordings).fluid(), narrow, (1.0,), 0.1)]
     else:
         searches += [(scout, narrow, FROM_AFAR, 1.0), (scout, coordinates, (0.0, 0.0), 1.0)]
-        searches += [(PooledRate(recordings), coordinates, (0.0,) * ROUNDS, LAST_NATS)]
+        searches += [(PooledRate(recordings), coordinates, (0.0,) * ROUGH_ROUNDS, ROUGH_NATS)]
     x, steps, searched = narrow.start, 0, narrow
     for k, (likelihood, wanted, blurs, tolerance) in enumerate(searches):
         x, searched = (x if wanted is searched else _wider(searched, x, wanted)), wanted
         objective = PooledRateObjective(likelihood, searched)
-        x = _best_teeth(objective, x) if blurs is FROM_AFAR else x
-        objective, optimum = _maximised(
-            objective, x, tolerance, blurs,
-            lambda part, k=k: report("fitting", 0.1 + 0.8 * (k + part) / len(searches)),
-        )  # fmt: skip
+        x = best_teeth(objective, x) if blurs is FROM_AFAR else x
+        objective, optimum = in_rounds(
+            objective, x, tolerance, blurs, lambda part, k=k: report("fitting", 0.1 + 0.5 * (k + part) / len(searches))
+        )
         x, steps = optimum.x, steps + optimum.steps
+    information = optimum.local.information
+    if not fluid:
+        objective, optimum, information = settled(objective, x, seed, lambda part: report("fitting", 0.6 + 0.3 * part))
     dispersion = objective.likelihood.dispersion(objective.expected(optimum.x))
     caveats = [FLUID] if fluid else []
     if pixels is not None:
@@ -112,31 +109,14 @@ def fit_pooled(
     details = {
         "dispersion": dispersion,
         "bin_s": float(np.diff(likelihood.counts[0].edges[:2])[0]),
-        "steps": steps,
+        "steps": steps + (0 if fluid else optimum.steps),
     }
-    information = optimum.local.information if fluid else objective.information(optimum.x, optimum.local, seed)
     return Found(objective, optimum, 1, details, caveats=caveats, dispersion=dispersion, information=information)
 
 
 def _poles(model: Model) -> tuple[str, ...]:
     """The amplifier's pole, which changes places with the follower's where nothing shows the reset."""
     return ("diff_cutoff_hz",) if {"sf_cutoff_hz", "diff_cutoff_hz"} <= set(model.free) else ()
-
-
-def _best_teeth(objective: PooledRateObjective, x: np.ndarray) -> np.ndarray:
-    """Of several scales of both thresholds, each searched a few steps, the point that suits the counts best.
-
-    Pixels in step fire at the same phases of a ramp with n and with n + 1 events on it: optima of their own.
-    """
-    names = objective.coordinates.names
-    which = [names.index(name) for name in ("on_threshold", "off_threshold") if name in names]
-    ends = []
-    for scale in SCALES if which else (1.0,):
-        begin = x.copy()
-        begin[which] += np.log(scale)
-        part = objective.near(begin, scatter=False, blur=FROM_AFAR[0])
-        ends.append(maximise(part, begin, tolerance=10.0, max_steps=8))
-    return max(ends, key=lambda end: end.local.value).x
 
 
 def _wider(narrow: Coordinates, x: np.ndarray, coordinates: Coordinates) -> np.ndarray:
@@ -170,28 +150,3 @@ def _counted(afar: PooledRate, model: Model, start: dict[str, float], pixels: fl
         value = afar.log_likelihood(afar.expected(model.circuit(trial), trial))
         best = max(best, (value, trial), key=lambda pair: pair[0])
     return best[1]
-
-
-def _maximised(
-    objective: PooledRateObjective,
-    x: np.ndarray,
-    tolerance: float,
-    blurs: Sequence[float],
-    report: Callable[[float], None],
-) -> tuple[PooledRateObjective, Optimum]:
-    """(the objective near its optimum, the optimum): variances of counts and blur follow the search, round by round."""
-    arrived = False
-    for turn, blur in enumerate(blurs):
-        objective = objective.near(x, scatter=blur == 0, blur=blur)
-        noisy = max(objective.likelihood.dispersion(objective.expected(x)), 1.0)
-        optimum = maximise(
-            objective, x, tolerance=tolerance * noisy, max_steps=MAX_STEPS,
-            progress=lambda step, value, turn=turn: report((turn + step / MAX_STEPS) / len(blurs)),
-        )  # fmt: skip
-        move, x = optimum.x - x, optimum.x
-        if blur == 0 and move @ optimum.local.information @ move < SETTLED**2 * noisy:
-            # Where rough derivatives end a search before its last step, the optimum of the round before still holds.
-            optimum = replace(optimum, converged=optimum.converged or arrived)
-            break
-        arrived = optimum.converged
-    return objective, optimum

@@ -138,6 +138,12 @@ class PooledRate:
         part.kept = kept
         return part
 
+    def without_rough(self) -> PooledRate:
+        """The same likelihood whose derivatives are its own."""
+        part = copy(self)
+        part.rough = None
+        return part
+
     def fluid(self) -> PooledRate:
         """The limit of many small thresholds: no pixel remembers its last event, so optima are few and wide."""
         part = copy(self)
