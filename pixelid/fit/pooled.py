@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -25,12 +26,23 @@ AFAR = 20.0  # times as long for the fluid limit, which costs little and on a sh
 FROM_AFAR = (BLUR, BLUR / 2)  # noise added to thresholds in the rounds of that search
 # Held in a blurred pool: it would take the place of what is not yet right.
 SCATTER = ("threshold_sigma", "threshold_mismatch.sigma")
-ROUGH_ROUNDS, ROUGH_NATS = 2, 2.0  # of all events with rough derivatives, which miss the optimum by a part of an error
+SCOUT_ROUNDS = 2  # of the same with all kinds of pixel
 DEAD_TIMES_S = (1e-5, 1e-4, 1e-3)
 FLUID = (
     "number of pooled pixels × thresholds: without threshold_noise counts are those of many small thresholds, and show "
     "only their ratio (pooled.pixels is a gauge)"
 )
+
+
+@dataclass(frozen=True)
+class Search:
+    """One search of several: of which likelihood, `of` which coordinates, and the rest as of `in_rounds`."""
+
+    likelihood: PooledRate
+    of: Coordinates
+    blurs: tuple[float, ...]
+    tolerance: float
+    fine: bool = False
 
 
 def fit_pooled(
@@ -79,24 +91,30 @@ def fit_pooled(
     report("searching", 0.1)
     own = tuple(p.at(start[name]) for name, p in nuisances.items())
     narrow = Coordinates.of(model.fix({name: None for name in (*SCATTER, *_poles(model)) if name in model.free}), own)
-    searches = [(afar, narrow, (1.0,), 1.0)]
+    searches = [Search(afar, narrow, (1.0,), 1.0)]
     if fluid:
-        searches = [(PooledRate(recordings).fluid(), narrow, (1.0,), 0.1)]
+        searches = [Search(PooledRate(recordings).fluid(), narrow, (1.0,), 0.1)]
     else:
-        searches += [(scout, narrow, FROM_AFAR, 1.0), (scout, coordinates, (0.0, 0.0), 1.0)]
-        searches += [(PooledRate(recordings), coordinates, (0.0,) * ROUGH_ROUNDS, ROUGH_NATS)]
+        searches += [Search(scout, narrow, FROM_AFAR, 1.0), Search(scout, coordinates, (0.0, 0.0), 1.0)]
+        few_s = _scouted_s(recordings)
+        if any(r.stimulus is not None and r.stimulus.duration_s > few_s for r in recordings):
+            few = PooledRate(recordings, first_s=few_s)
+            searches += [Search(few, coordinates, (0.0,) * SCOUT_ROUNDS, 0.5, fine=True)]
     x, steps, searched = narrow.start, 0, narrow
-    for k, (likelihood, wanted, blurs, tolerance) in enumerate(searches):
-        x, searched = (x if wanted is searched else _wider(searched, x, wanted)), wanted
-        objective = PooledRateObjective(likelihood, searched)
-        x = best_teeth(objective, x) if blurs is FROM_AFAR else x
+    for k, search in enumerate(searches):
+        x, searched = (x if search.of is searched else _wider(searched, x, search.of)), search.of
+        objective = PooledRateObjective(search.likelihood, searched)
+        x = best_teeth(objective, x) if search.blurs is FROM_AFAR else x
         objective, optimum = in_rounds(
-            objective, x, tolerance, blurs, lambda part, k=k: report("fitting", 0.1 + 0.5 * (k + part) / len(searches))
-        )
+            objective, x, search.tolerance, search.blurs,
+            lambda part, k=k: report("fitting", 0.1 + 0.5 * (k + part) / len(searches)), search.fine,
+        )  # fmt: skip
         x, steps = optimum.x, steps + optimum.steps
     information = optimum.local.information
     if not fluid:
+        objective = PooledRateObjective(PooledRate(recordings), coordinates)
         objective, optimum, information = settled(objective, x, seed, lambda part: report("fitting", 0.6 + 0.3 * part))
+        steps += optimum.steps
     dispersion = objective.likelihood.dispersion(objective.expected(optimum.x))
     caveats = [FLUID] if fluid else []
     if pixels is not None:
@@ -108,8 +126,8 @@ def fit_pooled(
         )
     details = {
         "dispersion": dispersion,
-        "bin_s": float(np.diff(likelihood.counts[0].edges[:2])[0]),
-        "steps": steps + (0 if fluid else optimum.steps),
+        "bin_s": float(np.diff(objective.likelihood.counts[0].edges[:2])[0]),
+        "steps": steps,
     }
     return Found(objective, optimum, 1, details, caveats=caveats, dispersion=dispersion, information=information)
 

@@ -42,11 +42,16 @@ def in_rounds(
     tolerance: float,
     blurs: Sequence[float],
     report: Callable[[float], None],
+    fine: bool = False,
 ) -> tuple[PooledRateObjective, Optimum]:
-    """(the objective near its optimum, the optimum): variances of counts and blur follow the search, round by round."""
+    """(the objective near its optimum, the optimum): variances of counts and blur follow the search, round by round.
+
+    fine: whether derivatives are the likelihood's own.
+    """
     steps = 0
     for turn, blur in enumerate(blurs):
         objective = objective.near(x, scatter=blur == 0, blur=blur)
+        objective = objective.fine() if fine else objective
         noisy = max(objective.likelihood.dispersion(objective.expected(x)), 1.0)
         optimum = maximise(
             objective, x, tolerance=tolerance * noisy, max_steps=MAX_STEPS,
