@@ -25,6 +25,7 @@ class PooledRateObjective(Objective):
     def __init__(self, likelihood: PooledRate, coordinates: Coordinates) -> None:
         self.likelihood = likelihood
         self.coordinates = coordinates
+        self._central = False  # differences from both sides
         self._taken: tuple[np.ndarray, np.ndarray] | None = None  # where derivatives were taken last, and these
 
     def near(self, x: np.ndarray, scatter: bool = True, blur: float = 0.0) -> PooledRateObjective:
@@ -34,7 +35,9 @@ class PooledRateObjective(Objective):
 
     def fine(self) -> PooledRateObjective:
         """The same with derivatives of its own steps and kinds of pixel, which vanish where the value peaks."""
-        return PooledRateObjective(self.likelihood.without_rough(), self.coordinates)
+        fine = PooledRateObjective(self.likelihood.without_rough(), self.coordinates)
+        fine._central = True
+        return fine
 
     def expected(self, x: np.ndarray) -> np.ndarray:
         """(bins,) expected counts at x."""
@@ -56,7 +59,7 @@ class PooledRateObjective(Objective):
         )
 
     def jacobian(self, x: np.ndarray, at_x: np.ndarray) -> np.ndarray:
-        """(bins, d) derivatives of the expected counts, which are `at_x` at x; one-sided differences.
+        """(bins, d) derivatives of the expected counts, which are `at_x` at x, by differences.
 
         Taken roughly where there is a rough likelihood: Σ J (n − λ)/v is 0 at the true λ whatever J is, so errors of J
         cost precision by their square and bias nothing.
@@ -66,7 +69,7 @@ class PooledRateObjective(Objective):
         rough = self.likelihood.rough
         taken = self if rough is None else PooledRateObjective(rough, self.coordinates)
         begin = at_x if rough is None else taken.expected(x)
-        values, upper = self.coordinates.values(x), self.coordinates.bounds()[1]
+        values, (lower, upper) = self.coordinates.values(x), self.coordinates.bounds()
         linear = self.likelihood.linear_parts(at_x, values)
         queued = values.get("readout_latency.service_s", 0.0) > 0
         columns = []
@@ -76,9 +79,14 @@ class PooledRateObjective(Objective):
                 continue
             step = DELAY_STEP_S if parameter.transform == "linear" and parameter.unit == "s" else STEP
             step = -step if x[i] + step > upper[i] else step
-            moved = x.copy()
+            # Where few counts are left to chance a step is many standard errors, over which counts bend: a delay
+            # has even the wrong sign from one side.
+            both = self._central and lower[i] <= x[i] - step <= upper[i]
+            moved, back = x.copy(), x.copy()
             moved[i] += step
-            columns.append((taken.expected(moved) - begin) / step)
+            back[i] -= step
+            other = taken.expected(back) if both else begin
+            columns.append((taken.expected(moved) - other) / (step * (1 + both)))
         self._taken = x.copy(), np.stack(columns, axis=1)
         return self._taken[1]
 

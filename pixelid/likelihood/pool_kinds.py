@@ -16,7 +16,7 @@ from scipy.special import ndtri
 
 from pixelid.stages.circuit import Circuit
 
-KINDS = 24  # counts of a bin to 1 % of the pool at the usual mismatch of 3 % (tests/unit/test_pool.py)
+KINDS = 12  # counts of a bin to 1 % of the pool at the usual mismatch of 3 % (tests/unit/test_pool.py)
 
 
 @dataclass(frozen=True)
