@@ -26,8 +26,6 @@ AFAR = 20.0  # times as long for the fluid limit, which costs little and on a sh
 FROM_AFAR = (BLUR, BLUR / 2)  # noise added to thresholds in the rounds of that search
 # Held in a blurred pool: it would take the place of what is not yet right.
 SCATTER = ("threshold_sigma", "threshold_mismatch.sigma")
-# Added so that variances are Poisson's: what few events leave open is far off for counts that the pool is certain of.
-TRACE = 1e-6
 SCOUT_ROUNDS = 2  # of the same with all kinds of pixel
 DEAD_TIMES_S = (1e-5, 1e-4, 1e-3)
 FLUID = (
@@ -102,7 +100,6 @@ def fit_pooled(
         if any(r.stimulus is not None and r.stimulus.duration_s > few_s for r in recordings):
             few = PooledRate(recordings, first_s=few_s)
             searches += [Search(few, coordinates, (0.0,) * SCOUT_ROUNDS, 0.5, fine=True)]
-            searches += [Search(PooledRate(recordings, kinds=SCOUT_KINDS), coordinates, (TRACE,), 1.0, fine=True)]
     x, steps, searched = narrow.start, 0, narrow
     for k, search in enumerate(searches):
         x, searched = (x if search.of is searched else _wider(searched, x, search.of)), search.of
