@@ -59,7 +59,7 @@ def commands() -> str:
         command = [sys.executable, "-m", "pixelid", *words, "--help"]
         return subprocess.check_output(command, text=True, env=environment)
 
-    names = [line.split()[0] for line in text().split("Commands:")[1].splitlines() if line.startswith("  ")]
+    names = [line.split()[0] for line in text().split("Commands:")[1].splitlines() if line[:2] == "  " != line[2:4]]
     names = [name for name in names if name.isidentifier()]
     return "\n".join(f"## {name}\n\n```text\n{text(name).rstrip()}\n```\n" for name in names)
 

@@ -169,13 +169,13 @@ def _foreign(folder: Path) -> Iterator[Target]:
     from pixelid.stimuli.files import load_stimulus
 
     texts = [
-        "%geometry:64,48\n5,3,0,1190\n9,4,1,2322\n63,47,1,3465\n",
+        "%geometry:64,48\n5,3,0,1190\n63,47,1,2322\n9,4,1,3465\n",
         "# timestamps in ns\nt,x,y,p\n1190,5,3,ON\n2322,9,4,OFF\n",
-        "Zeit [\xb5s];x;y;p\n1190,5;5;3;True\n2322,25;9;4;False\n", "64 48\n[0.00119, 5, 3, -1]\n[0.0023, 9, 4, 1]\n",
+        "t [\xb5s];x;y;p\n1190,5;5;3;True\n2322,25;9;4;False\n", "64 48\n[0.00119, 5, 3, -1]\n[0.0023, 9, 4, 1]\n",
     ]  # fmt: skip
     contents = tuple(text.encode("latin1") for text in texts)
     yield Target("foreign text", ".csv", contents, open_recording)
-    t, x, p = np.array([1190, 2322, 3465]), np.array([5, 9, 63], np.uint16), np.array([0, 1, 1], np.uint8)
+    t, x, p = np.array([1190, 2322, 3465]), np.array([5, 63, 9], np.uint16), np.array([0, 1, 1], np.uint8)
     np.savez(folder / "f.npz", ts=t, xs=x, ys=x, ps=p, time_unit="us", resolution=np.array([640, 480]))
     np.save(folder / "f.npy", np.stack([t, x, x, p]))
     for suffix in (".npz", ".npy"):

@@ -31,7 +31,7 @@ COMMANDS = {
     "latency": "Fit first-event latencies against irradiance, setting and edge.",
     "flicker": "What mains flicker alone says about the pixels.",
     "noise": "Noise events of still scenes against light: thresholds, noise, bandwidth.",
-    "biases": "Dead time, threshold, cutoff or latency against a bias's code: its law.",
+    "biases": "Laws of dead time, threshold, cutoff or latency by bias code.",
     "lowlight": "Dominant-pole analysis over radiance.",
     "design": "Which stimulus to record next, and why.",
     "stimulus": "A waveform for a generator or sound card, with a trigger channel.",

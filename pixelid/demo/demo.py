@@ -13,14 +13,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from pixelid.bench.calibrate import calibrate
 from pixelid.bench.figures import write_figures
 from pixelid.bench.result import Calibration
 from pixelid.demo.hidden import HiddenValue, hidden_and_found, sentence
 from pixelid.documents import read_json
-from pixelid.figures.style import IMPROVED, INK, MUTED, new_axis, save_figure, styled
 from pixelid.outputs import write_json
 from pixelid.report.html import write_report
 from pixelid.results import Table
@@ -87,28 +84,5 @@ def run_demo(folder: Path, seed: int, progress: Callable[[str, float], None], re
     write_json(folder / "demo.json", demo.as_dict())
     shutil.copyfile(BENCH / TRUTH, folder / TRUTH)
     write_figures(result, result.recordings, folder)
-    save_figure(draw_truth(demo), folder / "truth.svg")
     write_report(folder)
     return demo
-
-
-@styled
-def draw_truth(demo: Demo, axis: Any = None) -> Any:
-    """Estimate and 95 % interval of every hidden value, relative to the truth, and where the fit started."""
-    shown = [value for value in demo.values if value.found is not None and value.interval_95]
-    start = demo.result.start
-    axis = axis if axis is not None else new_axis(7.5, 0.3 * len(shown) + 0.8)
-    for row, value in enumerate(reversed(shown)):
-        low, high = (np.nan if end is None else end / value.hidden for end in value.interval_95 or (None, None))
-        ratio = (value.found or np.nan) / value.hidden
-        low, high = (ratio if np.isnan(end) else end for end in (low, high))  # an open side has no end to draw
-        axis.plot([low, high], [row, row], color=IMPROVED, linewidth=3, solid_capstyle="butt")
-        axis.plot(ratio, row, "o", color=IMPROVED, label=None if row else "estimate, 95 % interval")
-        if value.name in start:
-            axis.plot(start[value.name] / value.hidden, row, "x", color=MUTED)
-    axis.plot([], [], "x", color=MUTED, label="start")
-    axis.set_yticks(range(len(shown)), [value.name for value in reversed(shown)])
-    axis.axvline(1.0, color=INK, linewidth=0.8)
-    axis.set(xlabel="value / truth")
-    axis.legend()
-    return axis

@@ -7,15 +7,31 @@ from typing import Any
 
 import numpy as np
 
-from pixelid.figures.style import IMPROVED, INK, MUTED, new_axes, new_axis, save_figure, styled
+from pixelid.figures.style import IMPROVED, INK, MUTED, legend_above, new_axes, new_axis, save_figure, styled
+from pixelid.figures.words import in_words
+from pixelid.stimuli.files import shape
 
+LEAST_CHANGE = 1.05  # ratio of standard errors from which an arrow has a length
 LABELS = {"bandwidth": "cutoff (Hz)", "noise": "noise (1/s)", "rate": "events (1/s)"}
 
 
 def write_figures(result: dict, folder: Path) -> None:
-    """Write ranking.svg and widths.svg into `folder`."""
+    """Write stimulus.svg, ranking.svg and widths.svg into `folder`."""
+    save_figure(draw_stimulus(result), folder / "stimulus.svg")
     save_figure(draw_ranking(result), folder / "ranking.svg")
     save_figure(draw_widths(result), folder / "widths.svg")
+
+
+@styled
+def draw_stimulus(result: dict, axis: Any = None) -> Any:
+    """The light that is recommended, over time; returns the axis."""
+    best = result["recommended"]
+    light = shape(best["kind"], best["parameters"])
+    axis = axis if axis is not None else new_axis(8.6, 2.0)
+    axis.plot(light.t, light.radiance, color=INK, linewidth=0.8)
+    axis.set(xlabel="time (s)", ylabel="light", title=best["name"].replace("_", " "))
+    axis.margins(x=0.0)
+    return axis
 
 
 @styled
@@ -25,7 +41,7 @@ def draw_ranking(result: dict, axis: Any = None) -> Any:
     axis = axis if axis is not None else new_axis(7.5, 0.26 * len(ranking) + 0.8)
     best = result["recommended"]["name"]
     axis.barh(
-        [entry["name"] for entry in ranking],
+        [entry["name"].replace("_", " ") for entry in ranking],
         [entry["score"] for entry in ranking],
         xerr=[entry["score_error"] for entry in ranking],
         color=[IMPROVED if entry["name"] == best else MUTED for entry in ranking],
@@ -44,14 +60,14 @@ def draw_widths(result: dict, axis: Any = None) -> Any:
     axis = axis if axis is not None else new_axis(7.5, 0.3 * len(names) + 0.8)
     for row, name in enumerate(names):
         ends = [result[key][name]["std_coordinate"] for key in ("widths_before", "widths_after")]
-        axis.annotate(
-            "", (ends[1], row), (ends[0], row), arrowprops={"arrowstyle": "->", "color": IMPROVED, "linewidth": 1.0}
-        )
+        if ends[0] > LEAST_CHANGE * ends[1]:
+            arrow = {"arrowstyle": "->", "color": IMPROVED, "linewidth": 1.0}
+            axis.annotate("", (ends[1], row), (ends[0], row), arrowprops=arrow)
         axis.plot(ends[0], row, "o", color=MUTED, label=None if row else "before")
         axis.plot(ends[1], row, "o", color=IMPROVED, label=None if row else "after")
-    axis.set_yticks(range(len(names)), names)
-    axis.set(xscale="log", xlabel="standard error in the fitting coordinate (0.1 is 10 % for log parameters)")
-    axis.legend()
+    axis.set_yticks(range(len(names)), [in_words(name) for name in names])
+    axis.set(xscale="log", xlabel="standard error (of parameters on a logarithmic scale, 0.1 is 10 %)")
+    legend_above(axis)
     return axis
 
 

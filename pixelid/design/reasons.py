@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pixelid.design import criteria
+from pixelid.figures.words import in_words
 from pixelid.fit.uncertainty.curvature import combination
 
 
@@ -19,21 +20,19 @@ def why(names: tuple[str, ...], before: np.ndarray, after: np.ndarray, criterion
     parts = [_shrinks(name, old[names.index(name)], new[names.index(name)]) for name in shown]
     direction, factor = criteria.most_improved(before, after)
     said = [f"It shrinks the standard error of {'; '.join(parts)}."]
-    said.append(
-        f"The direction that gains most is {combination(names, direction, 0.2, 4)}: {factor:.3g} times better known."
-    )
+    most = combination([in_words(name) for name in names], direction, 0.2, 4)
+    said.append(f"The direction that gains most is {most}: {factor:.3g} times better known.")
     if len(ranking) > 1:
         best, second = ranking[0], ranking[1]
-        said.append(
-            f"Its score is {best['score']:.3g} nats; the next best, {second['name']}, reaches {second['score']:.3g}."
-        )
+        other = second["name"].replace("_", " ")
+        said.append(f"Its score is {best['score']:.3g} nats; the next best, {other}, reaches {second['score']:.3g}.")
         if best["score"] - second["score"] < 2 * np.hypot(best["score_error"], second["score_error"]):
             said.append("The difference lies within the error of the estimate: either will do.")
     return " ".join(said)
 
 
 def _shrinks(name: str, old: float, new: float) -> str:
-    return f"{name} from {_percent(old)} to {_percent(new)}"
+    return f"{in_words(name)} from {_percent(old)} to {_percent(new)}"
 
 
 def _percent(sd: float) -> str:

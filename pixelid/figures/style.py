@@ -28,6 +28,8 @@ IMPROVED, UNEXPLAINED = "#009e73", "#b0578d"
 SERIES = ("#009e73", "#b0578d", "#e69f00", "#56b4e9", "#7a6a4f", MUTED)  # none is a polarity's
 SEQUENTIAL, DENSITY, CYCLIC = "viridis", "Blues", "twilight"
 
+MOST_WIDTH = 8.6  # inches: a page shows so much without making text smaller than it is
+
 STYLE = {
     "font.size": 9.0, "axes.titlesize": 9.0, "axes.labelsize": 9.0, "xtick.labelsize": 8.0, "ytick.labelsize": 8.0,
     "legend.fontsize": 8.0, "legend.title_fontsize": 8.0, "figure.titlesize": 10.0,
@@ -89,9 +91,10 @@ def _write_powers_plainly(axes: Any) -> None:
 def new_axes(
     rows: int, columns: int, width: float, height: float, *, sharex: bool = False, height_ratios: Any = None
 ) -> np.ndarray:
-    """(rows, columns) axes of a new figure, each `width` × `height` inches on average."""
+    """(rows, columns) axes of a new figure, each `width` × `height` inches on average, no wider than a page."""
     import matplotlib.pyplot as plt
 
+    width = min(width, MOST_WIDTH / columns)
     _, axes = plt.subplots(
         rows, columns, figsize=(width * columns, height * rows), squeeze=False, layout="constrained", sharex=sharex,
         gridspec_kw={"height_ratios": height_ratios} if height_ratios is not None else None,
@@ -126,6 +129,18 @@ def finish_pair(top: Any, bottom: Any) -> None:
     for axis in (top, bottom):
         axis.set_xlim(left, right)
     top.tick_params(labelbottom=False)
+
+
+def legend_above(axes: Any, columns: int = 4, title: str = "") -> None:
+    """One legend of all panels, each label once, above them, where it covers no data."""
+    named: dict[str, Any] = {}
+    for axis in np.ravel(np.asarray(axes, dtype=object)):
+        for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
+            named.setdefault(label, handle)
+    if named:
+        _figure_of(axes).legend(
+            named.values(), named, loc="outside upper left", ncols=columns, title=title or None, alignment="left"
+        )
 
 
 def series_colours(count: int) -> list[Any]:

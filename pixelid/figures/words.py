@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+import re
+import textwrap
+
 _WORDS = {
     "alpha": "α", "beta": "β", "gamma": "γ", "sf_cutoff_hz": "source follower's cutoff",
     "diff_cutoff_hz": "differencing amplifier's cutoff", "on_threshold": "ON threshold",
     "off_threshold": "OFF threshold", "threshold_sigma": "threshold noise", "refractory_s": "dead time",
     "delay_s": "delay",
 }  # fmt: skip
+SYMBOLS = {  # (letter, index)
+    "alpha": ("α", ""), "beta": ("β", ""), "gamma": ("γ", ""), "alpha_over_beta": ("α/β", ""),
+    "sf_cutoff_hz": ("f", "sf"), "diff_cutoff_hz": ("f", "diff"),
+    "on_threshold": ("C", "on"), "off_threshold": ("C", "off"),
+    "threshold_sigma": ("σ", "C"), "threshold_mismatch.sigma": ("σ", "pixel"), "refractory_s": ("τ", "dead"),
+}  # fmt: skip
 SUPERSCRIPT = str.maketrans("-−0123456789", "⁻⁻⁰¹²³⁴⁵⁶⁷⁸⁹")  # of exponents; either minus
+SHORT = 13  # letters, as wide as a panel among many
+UNIT = re.compile(r"(?<!per)_(hz|rad|s)$")  # at the end of a parameter's name
 _UNITS = {"log radiance": "log radiance", "1": ""}
 
 
@@ -19,6 +30,17 @@ def in_words(parameter: str) -> str:
     ('ON threshold', 'threshold mismatch, sigma')
     """
     return _WORDS.get(parameter, parameter.replace(".", ", ").replace("_", " "))
+
+
+def symbol(parameter: str) -> str:
+    """A parameter's symbol, or its name in short lines where it has none.
+
+    >>> symbol("sf_cutoff_hz"), symbol("leak.rate_hz"), symbol("polarity_memory.strength")
+    ('f sf', 'leak, rate', 'polarity\\nmemory,\\nstrength')
+    """
+    if parameter in SYMBOLS:
+        return " ".join(SYMBOLS[parameter]).strip()
+    return textwrap.fill(in_words(UNIT.sub("", parameter)), SHORT)
 
 
 def with_unit(parameter: str, unit: str) -> str:

@@ -118,7 +118,7 @@ def values_of_laws(folder: Path, recordings: Sequence[Recording]) -> tuple[dict[
         stated = stated if isinstance(stated, Mapping) else {}
         settings.append({code: float(stated[code]) for code in known if is_number(stated.get(code))})
         if not settings[-1]:
-            wanted = f"codes of {', '.join(sorted(known)) or 'biases'} (a .bias file beside the recording)"
+            wanted = f"codes of {', '.join(sorted(known)) or 'biases'} (a .bias file next to the recording)"
             raise InputError(f"{recording.name}: {LAWS_OPTION}: expected {wanted}, found none")
         if settings[-1] != settings[0]:
             raise InputError(

@@ -74,6 +74,10 @@ class EventTimesObjective(Objective):
         circuit = self.circuit(x) if density is None else self.circuit(x).with_(shot_density=density)
         return EventTimesObjective(under_shot_noise(self.at(x), circuit), self.coordinates, self.off)
 
+    def holding_gains(self, x: np.ndarray) -> EventTimesObjective:
+        """The same with what the gains of pixels add to changes held as at x."""
+        return EventTimesObjective(self.at(x).with_gains_held(self.circuit(x)), self.coordinates, self.off)
+
     def at(self, x: np.ndarray) -> EventTimes:
         """The likelihood as it is at x."""
         return self.likelihood

@@ -8,21 +8,31 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from pixelid.figures.style import INK, MUTED, OFF, ON, finish_pair, new_axes, new_pairs, save_figure, styled
+from pixelid.figures.style import OFF, ON, finish_pair, legend_above, new_axes, new_pairs, save_figure, styled
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.event_times import EventTimesObjective
 from pixelid.fit.levels.figures import draw_levels
 from pixelid.fit.levels.pixel_levels import PixelLevels
+from pixelid.fit.panels import (
+    draw_by_interval,
+    draw_by_recording,
+    draw_by_time,
+    draw_difference,
+    draw_distribution,
+    draw_light,
+    draw_rates,
+    light_of,
+    simulated,
+)
 from pixelid.fit.pooled_rate import PooledRateObjective
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.pooled_rate import PooledRate
 from pixelid.model.model import Model
 from pixelid.recordings.own_light import with_fine_light
 from pixelid.recordings.recording import Recording
-from pixelid.stimuli.pixel_lights import in_a_row
 from pixelid.stimuli.stimulus import Stimulus
 
-BINS = 120
+MOST_COLUMNS = 2  # side by side: more would be too narrow to read
 
 
 class Fitted(Protocol):
@@ -59,62 +69,39 @@ def write_figures(result: Fitted, recordings: Sequence[Recording], folder: Path)
 
 @styled
 def draw_conditions(result: Fitted, recordings: Sequence[Recording], axes: Any = None) -> Any:
-    """Event rates over time, measured (filled) and simulated by the fitted model (lines); below, what is left.
+    """The light, event rates measured (filled) and simulated by the fitted model (lines), and what is left.
 
     Args:
         result: the fit.
         recordings: what it was fitted to.
-        axes: (2 rows, columns), residuals in every second row; new ones by default, a pair per recording.
+        axes: (3 rows, columns): light, rates and differences below each other; new ones by default.
 
     Returns:
         The axes.
     """
-    from pixelid.simulate import simulate_row
-
     shown = [r for r in recordings if len(r.events)] or list(recordings)[:1]
-    columns = min(3, len(shown))
+    columns = min(MOST_COLUMNS, len(shown))
     rows = -(-len(shown) // columns)
     if axes is None:
-        axes = new_pairs(rows, columns, 4.2, 3.4)
-    for axis, left, recording in zip(axes[::2].flat, axes[1::2].flat, shown, strict=False):
-        stimulus = _as_seen(result, [recording])[0].stimulus
-        assert stimulus is not None
-        edges = np.linspace(stimulus.start_s, stimulus.end_s, BINS + 1)
-        events = recording.events
-        active = np.unique(events.pixel)
-        pixels = max(len(active), 1)
-        light = in_a_row(stimulus, active)
-        copy = simulate_row(result.model, light, pixels, seed=result.seed).events
-        for polarity, sign, colour in ((1, 1.0, ON), (0, -1.0, OFF)):
-            scale = sign / pixels / np.diff(edges)
-            measured = np.histogram(events.t[events.p == polarity] * 1e-9, edges)[0]
-            model = np.histogram(copy.t[copy.p == polarity] * 1e-9, edges)[0]
-            name = "ON" if polarity else "OFF"
-            axis.fill_between(
-                edges[:-1],
-                measured * scale,
-                step="post",
-                color=colour,
-                alpha=0.4,
-                linewidth=0,
-                label=f"{name}, measured",
-            )
-            axis.step(edges[:-1], model * scale, where="post", color=colour, linewidth=0.8, label=f"{name}, model")
-            some = measured + model > 0
-            left.plot(
-                0.5 * (edges[1:] + edges[:-1])[some], (measured - model)[some] / np.sqrt(measured + model)[some], ".",
-                color=colour, markersize=3,
-            )  # fmt: skip
-        axis.axhline(0.0, color=INK, linewidth=0.5)
-        axis.set_title(recording.name)
+        axes = new_axes(3 * rows, columns, 4.2, 1.5, height_ratios=(1.0, 2.4, 1.1) * rows)
+    between = result.details.get("stimulus_between_samples", "linear")
+    for k, recording in enumerate(shown):
+        light_axis, axis, left = axes[3 * (k // columns) : 3 * (k // columns) + 3, k % columns]
+        seen = _as_seen(result, [recording])[0]
+        light, pixels = light_of(seen, between), max(len(np.unique(seen.events.pixel)), 1)
+        copy = simulated(result.model, seen, light, result.seed, pixels) if len(seen.events) else None
+        draw_light(light_axis, seen)
+        draw_rates(axis, seen, light, {} if copy is None else {"model": (copy, pixels, None, "-")})
+        if copy is not None:
+            draw_difference(left, seen, light, copy, pixels)
+        light_axis.set_title(recording.name)
         left.set_xlabel("time (s)")
         finish_pair(axis, left)
-    for axis in (*axes[::2].flat[len(shown) :], *axes[1::2].flat[len(shown) :]):
-        axis.set_axis_off()
-    for top, bottom in zip(axes[::2, 0], axes[1::2, 0], strict=True):
-        top.set_ylabel("events per\npixel and second")
-        bottom.set_ylabel("difference (σ)")
-    axes[0, 0].legend(ncols=2, fontsize=7)
+        light_axis.set_xlim(axis.get_xlim())
+    for k in range(len(shown), rows * columns):
+        for axis in axes[3 * (k // columns) : 3 * (k // columns) + 3, k % columns]:
+            axis.set_axis_off()
+    legend_above(axes)
     return axes
 
 
@@ -136,56 +123,23 @@ def _as_seen(result: Fitted, recordings: Sequence[Recording]) -> list[Recording]
 
 @styled
 def draw_residuals(result: Fitted, recordings: Sequence[Recording], axes: Any = None) -> Any:
-    """Residual levels against time in the recording, time since the last event, and their distribution."""
+    """Residual levels against the time since the last event, time and recording, on one scale; their distribution."""
     likelihood, residual, kept = standardised(result, recordings)
-    since = np.concatenate([iv.time_s - iv.previous_s for iv in likelihood.intervals])
     if axes is None:
-        axes = new_axes(2, 2, 4.6, 2.8)
-    stretch = np.concatenate(
-        [
-            (iv.time_s - r.stimulus.start_s) / max(r.stimulus.duration_s, 1e-12)
-            for iv, r in zip(likelihood.intervals, likelihood.recordings, strict=True)
-            if r.stimulus is not None
-        ]
-    )
-    for axis, values, label in (
-        (axes.flat[0], stretch, "time in the recording (0 start, 1 end)"),
-        (axes.flat[1], since, "time since the pixel's last event (s)"),
-        (axes.flat[2], likelihood.recording_of_event + 1.0, "recording (in the order given)"),
+        axes = new_axes(2, 2, 4.3, 2.6)
+    for axis, draw, label in (
+        (axes.flat[0], draw_by_interval, "time since the pixel's previous event (s)"),
+        (axes.flat[1], draw_by_time, "time in the recording (0 start, 1 end)"),
+        (axes.flat[2], draw_by_recording, "recording"),
     ):
-        for polarity, colour, name in ((1.0, ON, "ON"), (-1.0, OFF, "OFF")):
-            chosen = kept & (likelihood.sign == polarity)
-            if chosen.sum() < 2:
-                continue
-            low, high = values[chosen].min(), values[chosen].max()
-            if values is since:
-                low = max(low, 1e-9)  # two events of one timestamp
-                bins = np.geomspace(low, 1.001 * max(high, low), 31)
-            else:
-                bins = np.linspace(low, high + 1e-9, 31)
-            index = np.digitize(values[chosen], bins) - 1
-            count = np.bincount(index, minlength=30)[:30]
-            mean = np.bincount(index, residual[chosen], 30)[:30] / np.maximum(count, 1)
-            full = count > 3
-            if not full.any():
-                continue
-            centre = np.sqrt(bins[1:] * bins[:-1]) if values is since else 0.5 * (bins[1:] + bins[:-1])
-            axis.errorbar(
-                centre[full], mean[full], 2 / np.sqrt(count[full]), fmt=".", color=colour, label=name, linewidth=0.8
-            )
-        axis.axhline(0.0, color=INK, linewidth=0.5)
-        axis.set_xlabel(label)
-        axis.set_ylabel("mean residual (standard deviations)")
-    if axes.flat[1].containers:  # a logarithmic axis needs data
-        axes.flat[1].set_xscale("log")
-    axes.flat[2].xaxis.get_major_locator().set_params(integer=True)
-    if axes.flat[0].containers:
-        axes.flat[0].legend()
-    axis = axes.flat[3]
-    grid = np.linspace(-5, 5, 81)
-    axis.hist(residual[kept], grid, density=True, color=MUTED, alpha=0.6)
-    axis.plot(grid, np.exp(-0.5 * grid**2) / np.sqrt(2 * np.pi), color=INK, linewidth=0.8)
-    axis.set(xlabel="residual (standard deviations)", ylabel="density, standard normal as a line")
+        draw(axis, likelihood, residual, kept)
+        axis.set(xlabel=label, ylabel="mean residual (σ)")
+    reach = max(1.0, *(abs(end) for axis in axes.flat[:3] for end in axis.get_ylim()))
+    for axis in axes.flat[:3]:
+        axis.set_ylim(-reach, reach)
+    draw_distribution(axes.flat[3], residual[kept])
+    axes.flat[3].set_xlabel("residual (σ)")
+    legend_above(axes)
     return axes
 
 
@@ -243,5 +197,5 @@ def draw_edges(result: Fitted, recordings: Sequence[Recording], axes: Any = None
             axis.set_ylabel(f"events per {1e6 * width:.0f} µs")
             left.set_ylabel("difference (σ)")
             finish_pair(axis, left)
-    axes[0, 0].legend()
+    legend_above(axes)
     return axes

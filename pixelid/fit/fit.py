@@ -7,14 +7,14 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from pixelid.errors import InputError
+from pixelid.fit.assess import assess
 from pixelid.fit.bench import clocks_found, common_delay
 from pixelid.fit.bias_priors import beside_events
 from pixelid.fit.engines import engine as engine_named
-from pixelid.fit.known import judged
 from pixelid.fit.levels.pixel_levels import PixelLevelsLike, Wanted
 from pixelid.fit.measured_light import NO_PHYSICAL, held_in_words
 from pixelid.fit.pooled import fit_pooled
-from pixelid.fit.prepare import prepared
+from pixelid.fit.prepare import prepare
 from pixelid.fit.result import FitResult, Stopwatch
 from pixelid.fit.search import Settings, search_event_times
 from pixelid.fit.shot_noise import without_filter
@@ -82,14 +82,14 @@ def fit(
     """
     watch, report = Stopwatch(), progress or (lambda what, fraction: None)
     settings = Settings(engine_named(engine), form, starts, between, fixed or {}, seed)
-    ready = prepared(recordings, model, gauge, Wanted.of(pixel_levels), form, bias_priors)
+    ready = prepare(recordings, model, gauge, Wanted.of(pixel_levels), form, bias_priors)
     if ready.pooled:
         found = fit_pooled(ready.recordings, ready.model, settings.fixed, report, seed)
     else:
         rng = np.random.default_rng(seed)
         found = search_event_times(ready.recordings, ready.model, ready.levels, settings, rng, report)
     report("standard errors", 0.9)
-    known = judged(ready, found, seed, report)
+    assessment = assess(ready, found, seed, report)
     fitted = without_filter(found.objective.coordinates.model_at(found.optimum.x), ready.model)
     physical, why = (None, NO_PHYSICAL) if ready.sampled else _physical(fitted, gauge is not None)
     apart, of_biases = common_delay(ready.recordings), ready.of_biases
@@ -97,22 +97,22 @@ def fit(
     report("done", 1.0)
     value = found.optimum.local.value - coordinates.log_prior(x)
     return FitResult(
-        status=known.status,
-        advice=known.advice,
+        status=assessment.status,
+        advice=assessment.advice,
         model=fitted,
         engine="newton" if ready.pooled else settings.engine.name,
         observation="pooled_rate" if ready.pooled else "event_times",
         coordinates=coordinates,
         x=x,
-        covariance=known.covariance,
-        estimates=known.estimates,
+        covariance=assessment.covariance,
+        estimates=assessment.estimates,
         unidentified=(
-            *known.unidentified,
+            *assessment.unidentified,
             *found.caveats,
             *held_in_words(ready.held, ready.recordings),
             *([apart] if apart else []),
-            *(known.levels.notes if known.levels is not None else ()),
-            *(beside_events(of_biases, coordinates.names, x, known.sd) if of_biases else ()),
+            *(assessment.levels.notes if assessment.levels is not None else ()),
+            *(beside_events(of_biases, coordinates.names, x, assessment.sd) if of_biases else ()),
         ),
         physical=physical,
         physical_why=why,
@@ -122,10 +122,10 @@ def fit(
         recordings=tuple(recording.name for recording in ready.recordings),
         seconds=watch.seconds(),
         seed=seed,
-        alignment=clocks_found(ready.recordings, coordinates.model, known.estimates),
-        pixel_levels=known.levels,
+        alignment=clocks_found(ready.recordings, coordinates.model, assessment.estimates),
+        pixel_levels=assessment.levels,
         bias_priors=of_biases,
-        details={**found.details, **known.details},
+        details={**found.details, **assessment.details},
         versions=versions(),
         inputs_sha256=input_hashes(recording.source for recording in ready.recordings),
     )

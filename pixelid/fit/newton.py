@@ -14,6 +14,7 @@ import numpy as np
 
 from pixelid.fit.objective import Local, Objective
 
+HALVINGS = 6  # of a step that overshoots
 CRAWL, ALIKE, FASTER = 5, 1.1, 10.0  # steps; ratio of promises that are the same; by which crawls may yet speed up
 
 
@@ -93,6 +94,35 @@ def maximise(
         if progress:
             progress(steps, here.value)
     return Optimum(x, here, converged, held, steps)
+
+
+def with_observed_curvature(objective: Objective, optimum: Optimum, *, tolerance: float, rounds: int = 8) -> Optimum:
+    """The optimum that expected information did not lead to, by Newton steps with the Hessian observed on the way.
+
+    Where that is not the curvature (levels that noise moves, heavy-tailed priors), damped steps overshoot and crawl.
+    """
+    lower, upper = objective.coordinates.bounds()
+    x, here, steps = optimum.x, optimum.local, optimum.steps
+    for _ in range(rounds):
+        held = held_by_bounds(x, here, lower, upper)
+        free = ~held
+        H, g = -objective.hessian(x, here)[np.ix_(free, free)], here.gradient[free]
+        if not np.isfinite(H).all() or np.linalg.eigvalsh(H).min() <= 0.0:
+            break
+        move = np.zeros(len(x))
+        move[free] = np.linalg.solve(H, g)
+        move /= max(1.0, float(np.abs(move / objective.coordinates.longest_moves()).max()))
+        if 0.5 * here.gradient @ move < tolerance:
+            return Optimum(x, here, True, held, steps)
+        for _ in range(HALVINGS):
+            trial = np.clip(x + move, lower, upper)
+            if objective.value(trial) > here.value:
+                break
+            move = 0.5 * move
+        else:
+            break
+        x, here, steps = trial, objective.local(trial), steps + 1
+    return Optimum(x, here, False, held_by_bounds(x, here, lower, upper), steps)
 
 
 def held_by_bounds(x: np.ndarray, local: Local, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.own_values import with_own_values
 from pixelid.fit.pooled_rate import PooledRateObjective
 from pixelid.fit.pooled_search import BLUR, best_teeth, in_rounds, settled
-from pixelid.fit.search import Found
+from pixelid.fit.search import SearchResult
 from pixelid.fit.starts import align, match_counts
 from pixelid.inspection.bursts import BurstCounter, Bursts
 from pixelid.likelihood.pooled_rate import PooledRate
@@ -51,7 +51,7 @@ def fit_pooled(
     fixed: Mapping[str, float],
     report: Callable[[str, float], None],
     seed: int = 0,
-) -> Found:
+) -> SearchResult:
     """The optimum of pooled counts.
 
     The search goes from wide optima to narrow ones: the fluid limit, a blurred pool from several thresholds, the pool
@@ -129,7 +129,7 @@ def fit_pooled(
         "bin_s": float(np.diff(objective.likelihood.counts[0].edges[:2])[0]),
         "steps": steps,
     }
-    return Found(objective, optimum, 1, details, caveats=caveats, dispersion=dispersion, information=information)
+    return SearchResult(objective, optimum, 1, details, caveats=caveats, dispersion=dispersion, information=information)
 
 
 def _poles(model: Model) -> tuple[str, ...]:

@@ -42,7 +42,7 @@ class Prepared:
     of_biases: dict[str, Any] | None
 
 
-def prepared(
+def prepare(
     recordings: Sequence[Recording],
     model: Model,
     gauge: Gauge | None,

@@ -97,6 +97,10 @@ def _ends(recordings, coordinates: Coordinates, x, kinds, maximiser: Engine, set
     for kind in kinds:
         likelihood = EventTimes([with_fine_light(recording, kind) for recording in recordings])
         objective = stamps_weighed(EventTimesObjective(likelihood, coordinates), x)
+        if likelihood.is_uneven:  # what gains add is held near the optimum, and once more at it
+            roughly = objective.holding_gains(x)
+            x = maximiser.maximise(roughly, x, max_steps=60, **settings).x
+            objective = objective.holding_gains(x)
         ends[kind] = objective, maximiser.maximise(objective, x, max_steps=60, **settings)
         x = ends[kind][1].x
         done()

@@ -49,7 +49,7 @@ class Settings:
 
 
 @dataclass(frozen=True)
-class Found:
+class SearchResult:
     """An optimum, and what a fit goes on with.
 
     Attributes:
@@ -91,7 +91,7 @@ def search_event_times(
     settings: Settings,
     rng: np.random.Generator,
     report: Callable[[str, float], None],
-) -> Found:
+) -> SearchResult:
     """The optimum of event times.
 
     Args:
@@ -135,7 +135,7 @@ def search_event_times(
         report("gain and background of pixels", 0.5)
         levels = fit_levels(recordings, coordinates, (best.x, coordinates.start), wanted, kinds)
         objective, optimum, details = levels.objective, levels.optimum, dict(levels.details)
-    found = Found(objective, optimum, EventTimes(recordings).pixels, details, levels=levels,
+    found = SearchResult(objective, optimum, EventTimes(recordings).pixels, details, levels=levels,
                   caveats=light_caveats(recordings))  # fmt: skip
     if levels is not None:
         found = replace(found, log_likelihood=objective.terms(optimum.x).total)
@@ -182,7 +182,7 @@ def _from_afar(
     return ends
 
 
-def _continuous(found: Found, engine: Engine) -> Found:
+def _continuous(found: SearchResult, engine: Engine) -> SearchResult:
     """The optimum of the continuous form, from that of the discrete one; residuals are tested under the latter."""
     continuous, discrete = engine.continuous(found.objective, found.optimum.x), found.optimum
     optimum = newton_steps(continuous, discrete.x, tolerance=CONTINUOUS_TOLERANCE, max_steps=20)
@@ -191,8 +191,8 @@ def _continuous(found: Found, engine: Engine) -> Found:
 
 
 def _with_details(
-    found: Found, form: str, ends: Sequence[Optimum], best: Optimum, expected: Mapping[str, float]
-) -> Found:
+    found: SearchResult, form: str, ends: Sequence[Optimum], best: Optimum, expected: Mapping[str, float]
+) -> SearchResult:
     """With how the search went and what the optimum leaves;  expected: as of `UnderNoise`."""
     background = found.objective.terms(found.optimum.x).unexplained
     tests = residual_tests(found.objective, found.optimum.x)

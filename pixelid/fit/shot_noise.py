@@ -23,7 +23,7 @@ from pixelid.fit.again import can_be_simulated, simulate_again
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.event_times import LEVELS_TAKEN_AT, EventTimesObjective
 from pixelid.fit.judge import residual_tests
-from pixelid.fit.newton import Optimum
+from pixelid.fit.newton import Optimum, with_observed_curvature
 from pixelid.fit.newton import maximise as newton_steps
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.shot_noise import Division, share_out
@@ -213,7 +213,7 @@ def _with_density(
     """With the density among the coordinates, known as the filter knows it; as it is where it is held."""
     parameter = model.parameters[DENSITY]
     if not parameter.free:
-        return UnderNoise(objective, optimum, details)
+        return UnderNoise(objective, _to_the_end(objective, optimum), details)
     value = parameter.within(density)
     known = replace(parameter, value=value, prior=Prior(parameter.to_coordinate(value), min(error, OPEN)))
     at = objective.coordinates.model_at(optimum.x)
@@ -221,4 +221,9 @@ def _with_density(
     here = _named(objective.coordinates, optimum.x)
     x = np.array([here.get(name, parameter.to_coordinate(value)) for name in coordinates.names])
     full = objective.on(coordinates)
-    return UnderNoise(full, newton_steps(full, x, tolerance=1e-3, max_steps=80), details)
+    return UnderNoise(full, _to_the_end(full, newton_steps(full, x, tolerance=1e-3, max_steps=80)), details)
+
+
+def _to_the_end(objective: EventTimesObjective, optimum: Optimum) -> Optimum:
+    """An optimum that damped steps may have crawled towards: noise bends the likelihood more than it informs."""
+    return optimum if optimum.converged else with_observed_curvature(objective, optimum, tolerance=1e-3)

@@ -16,6 +16,7 @@ from pixelid.figures.style import (
     ON,
     UNEXPLAINED,
     finish_pair,
+    legend_above,
     new_axes,
     new_axis,
     new_pairs,
@@ -24,18 +25,17 @@ from pixelid.figures.style import (
 )
 from pixelid.fit.levels.figures import draw_levels
 from pixelid.fit.levels.pixel_levels import PixelLevels
+from pixelid.fit.panels import draw_difference, draw_light, draw_rates, light_of, simulated
 from pixelid.gap.attribute.flexible import Flexible
 from pixelid.gap.confirm.free_run import FreeRun
-from pixelid.likelihood.clocks import light_on_clock
 from pixelid.model.model import Model
-from pixelid.recordings.own_light import with_fine_light
 from pixelid.recordings.recording import Recording
-from pixelid.simulate import simulate
 from pixelid.statistics import Z95
-from pixelid.stimuli.pixel_lights import in_a_row
 
-BINS = 100
 SIMULATED_PIXELS = 64  # their scatter adds to the measured one, a fourth of it where 16 pixels were recorded
+FEW = 3  # effects fitted, of which the page's table is a better picture
+MOST_SHOWN = 2  # recordings, those with the largest gap
+DIRECTIONS = {"level": ("early", "late"), "spread": ("less scatter", "more scatter")}  # score below and above 0
 LARGE_GAP = 10.0  # times chance, from which what is left beside it shows on a logarithmic scale only
 
 
@@ -63,7 +63,7 @@ class Searched(Protocol):
 def write_figures(report: Searched, recordings: Sequence[Recording], folder: Path) -> list[Path]:
     """Write the figures that apply as SVG into `folder`; returns their paths."""
     drawn = {"map": draw_map(report)}
-    if sum(len(entry["candidates"]) for entry in report.rounds) > 1:
+    if sum(len(entry["candidates"]) for entry in report.rounds) > FEW:
         drawn["forest"] = draw_gains(report)
     if "after_jumps" in report.details:
         drawn["edges"] = draw_after_jumps(report)
@@ -98,7 +98,7 @@ def draw_map(report: Searched, axes: Any = None) -> Any:
     for axis, (key, title, colour) in zip(np.ravel(axes), shown, strict=False):
         cells = report.details[key][::-1]
         axis.barh(range(len(cells)), [c["score"] for c in cells], color=colour, height=0.7)
-        axis.set_yticks(range(len(cells)), [c["where"] if pooled else f"{c['response']}: {c['where']}" for c in cells])
+        axis.set_yticks(range(len(cells)), [c["where"] if pooled else _in_words(c) for c in cells])
         axis.axvspan(-4, 4, color=MUTED, alpha=0.15, linewidth=0, zorder=0)
         axis.axvline(0, color=INK, linewidth=0.6)
         axis.grid(False, axis="y")
@@ -112,6 +112,12 @@ def draw_map(report: Searched, axes: Any = None) -> Any:
     return axes
 
 
+def _in_words(cell: Mapping) -> str:
+    """A cell and what it shows."""
+    direction = DIRECTIONS.get(cell["response"])
+    return f"{cell['where']}: {cell['response'] if direction is None else direction[cell['score'] > 0]}"
+
+
 @styled
 def draw_gains(report: Searched, axes: Any = None) -> Any:
     """Held-out gain of every effect fitted, per round."""
@@ -122,7 +128,7 @@ def draw_gains(report: Searched, axes: Any = None) -> Any:
         colour = IMPROVED if (turn, c["name"]) in named else MUTED
         axis.plot(c["heldout_gain_nats"], i, "o", color=colour)
         axis.plot(c["gain_nats"], i, "|", color=colour)
-    axis.set_yticks(range(len(rows)), [f"round {turn}: {c['name']}" for turn, c in rows])
+    axis.set_yticks(range(len(rows)), [f"{c['name'].replace('_', ' ')} (round {turn})" for turn, c in rows])
     axis.set_xscale("symlog", linthresh=3)
     axis.axvline(0, color=INK, linewidth=0.6)
     axis.set_xlabel("log-likelihood gained (nats); dots: data held out, ticks: data fitted")
@@ -136,77 +142,58 @@ def draw_free_run(report: Searched, axes: Any = None) -> Any:
     names = list(run.per_recording)
     axis = axes if axes is not None else new_axis(max(5.0, 0.8 * len(names)), 3.2)
     at = np.arange(len(names))
-    for k, (label, colour) in enumerate((("before", MUTED), ("after", IMPROVED), ("chance", INK))):
+    for k, (label, colour) in enumerate((("before", MUTED), ("after", IMPROVED), ("expected from noise", INK))):
         axis.bar(at + 0.27 * (k - 1), [run.per_recording[n][k] for n in names], 0.25, label=label, color=colour)
     if max(map(max, run.per_recording.values())) > LARGE_GAP:
         axis.set_yscale("symlog", linthresh=1)
     axis.set_xticks(at, names, rotation=45, ha="right")
     axis.set_ylabel("difference of event counts\n(about 1: chance)")
-    axis.legend()
+    legend_above(axis)
     return axis
 
 
 @styled
 def draw_before_after(report: Searched, recordings: Sequence[Recording], axes: Any = None) -> Any:
-    """Event rates of the recordings with the largest gap: measured, base model, grown model; what is left below.
+    """The recordings with the largest gap: the light, event rates measured and of both models, differences of each.
 
     Args:
         report: of a search that named something.
         recordings: that were searched.
-        axes: (2 recordings, 1), residuals in every second row; new ones by default.
+        axes: (4, recordings): light, rates, difference of the base and of the grown model; new ones by default.
 
     Returns:
         The axes.
     """
     run = report.free_run
     assert run is not None
-    worst = sorted(run.per_recording, key=lambda n: -run.per_recording[n][0])[:4]
+    worst = sorted(run.per_recording, key=lambda n: -run.per_recording[n][0])[:MOST_SHOWN]
     shown = [r for r in recordings if r.name in worst]
     if report.pixel_levels is not None:
         shown = report.pixel_levels.seen(shown)
     if axes is None:
-        axes = new_pairs(len(shown), 1, 8.5, 3.4)
-    between = report.details["stimulus_between_samples"]
-    for axis, left, recording in zip(axes[::2].flat, axes[1::2].flat, shown, strict=True):
-        stimulus = with_fine_light(recording, between).stimulus
-        assert stimulus is not None
-        edges = np.linspace(stimulus.start_s, stimulus.end_s, BINS + 1)
-        active = np.unique(recording.events.pixel)
-        pixels = max(len(active), 1)
-        light = in_a_row(stimulus, active[np.linspace(0, pixels - 1, SIMULATED_PIXELS).astype(int)])
-        events, measured, sides = recording.events, {}, ((1, 1.0, ON, "ON"), (0, -1.0, OFF, "OFF"))
-        for polarity, sign, colour, name in sides:
-            measured[polarity] = np.histogram(events.t[events.p == polarity] * 1e-9, edges)[0]
-            rate = sign * measured[polarity] / pixels / np.diff(edges)
-            axis.fill_between(
-                edges[:-1], rate, step="post", color=colour, alpha=0.4, linewidth=0, label=f"{name}, measured"
-            )
-        for model, colour, mark in ((report.base, MUTED, "x"), (report.model, IMPROVED, ".")):
-            here = model.in_recording(recording.name)
-            copy = simulate(
-                here,
-                light_on_clock(recording, light, here.circuit()),
-                width=SIMULATED_PIXELS,
-                height=1,
-                seed=report.seed,
-            ).events
-            for polarity, sign, _, _ in sides:
-                expected = np.histogram(copy.t[copy.p == polarity] * 1e-9, edges)[0] * pixels / SIMULATED_PIXELS
-                rate = sign * expected / pixels / np.diff(edges)
-                axis.step(
-                    edges[:-1], rate, where="post", color=colour, linewidth=0.9, label=model.name if sign > 0 else None
-                )
-                n = measured[polarity]
-                chance = np.sqrt(n + expected * pixels / SIMULATED_PIXELS)
-                some = chance > 0
-                left.plot(
-                    0.5 * (edges[1:] + edges[:-1])[some], (n - expected)[some] / chance[some], mark, color=colour,
-                    markersize=4,
-                )  # fmt: skip
-        axis.set(title=recording.name, ylabel="events per\npixel and second")
-        left.set(xlabel="time (s)", ylabel="difference\n(chance: ±1)")
-        finish_pair(axis, left)
-        axis.legend(loc="upper left", ncols=2, fontsize=7)
+        axes = new_axes(4, len(shown), 8.6, 1.5, height_ratios=(1.0, 2.6, 1.2, 1.2))
+    models = ((report.base, MUTED, "--", "before"), (report.model, IMPROVED, "-", "after"))
+    for (light_axis, axis, *lefts), recording in zip(axes.T, shown, strict=True):
+        light = light_of(recording, report.details["stimulus_between_samples"])
+        copies = [simulated(model, recording, light, report.seed, SIMULATED_PIXELS) for model, _, _, _ in models]
+        draw_light(light_axis, recording)
+        lines = {
+            f"{when}: {model.name}": (copy, SIMULATED_PIXELS, colour, line)
+            for (model, colour, line, when), copy in zip(models, copies, strict=True)
+        }
+        draw_rates(axis, recording, light, lines)
+        for left, copy, (_, _, _, when) in zip(lefts, copies, models, strict=True):
+            draw_difference(left, recording, light, copy, SIMULATED_PIXELS)
+            finish_pair(axis, left)
+            left.set_ylabel(f"{when}\n(σ)")
+        reach = max(abs(end) for left in lefts for end in left.get_ylim())  # they are compared: one scale
+        for left in lefts:
+            left.set_ylim(-reach, reach)
+        lefts[0].tick_params(labelbottom=False)
+        lefts[-1].set_xlabel("time (s)")
+        light_axis.set_xlim(axis.get_xlim())
+        light_axis.set_title(recording.name)
+    legend_above(axes, 2)
     return axes
 
 
@@ -252,11 +239,11 @@ def draw_after_jumps(report: Searched, axes: Any = None) -> Any:
             axis.set_ylabel("events, OFF downwards")
             left.set_xticks(range(len(places)), labels, rotation=45, ha="right")
             axis.set_xticks(range(len(places)), [])
-            left.set(xlabel="time since the light jumped (ms)", ylabel="difference\n(chance: ±1)")
+            left.set(xlabel="time since the light jumped (ms)", ylabel="difference\n(σ)")
             left.set_xlim(-0.6, len(places) - 0.4)
             axis.set_xlim(-0.6, len(places) - 0.4)
             finish_pair(axis, left)
-    axes[0, 0].legend(fontsize=7)
+    legend_above(axes)
     return axes
 
 

@@ -1,8 +1,8 @@
 """The search as a fold: each step takes the state and gives the next one, until the last gives the report.
 
-undo_readout → name_effect (again and again, shot noise tried in between, stamps asked where events lack a cause) →
-ask_stamps → ask_again → ask_recordings → bootstrap_remainder → try_shot_noise → name_beside_shot_noise (again and
-again) → discount_imputation_noise → withdraw → confirm
+undo_readout → named_in_noise (where the base looks like shot noise) → name_effect (again and again, shot noise tried in
+between, stamps asked where events lack a cause) → ask_stamps → ask_again → ask_recordings → bootstrap_remainder →
+try_shot_noise → name_beside_shot_noise (again and again) → discount_imputation_noise → withdraw → confirm
 """
 
 from __future__ import annotations

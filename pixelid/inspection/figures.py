@@ -6,13 +6,27 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 
-from pixelid.figures.style import INK, MUTED, OFF, ON, SEQUENTIAL, UNEXPLAINED, new_axes, new_axis, save_figure, styled
+from pixelid.figures.style import (
+    INK,
+    MUTED,
+    OFF,
+    ON,
+    SEQUENTIAL,
+    UNEXPLAINED,
+    legend_above,
+    new_axes,
+    new_axis,
+    save_figure,
+    styled,
+)
 from pixelid.figures.words import seconds
 from pixelid.inspection.health import Health, Overview
 from pixelid.inspection.static_noise_result import StaticNoise
 
 HOT_PIXELS_SHOWN = 100
+SMOOTH = 2.8  # bins of time
 WIDE = 20.0  # ratio of counts from which a map of them takes logarithms
 
 
@@ -30,12 +44,15 @@ def draw_rate(health: Health, overview: Overview, axis: Any = None) -> Any:
     axis = axis if axis is not None else new_axis(8.0, 3.2)
     edges = overview.edges_s
     for counts, label, colour, sign in ((overview.on, "ON", ON, 1.0), (overview.off, "OFF", OFF, -1.0)):
-        axis.stairs(sign * counts / np.diff(edges), edges, label=label, color=colour, fill=True, alpha=0.7)
+        # bins alone beat with a periodic light
+        rate = gaussian_filter1d(np.asarray(counts, dtype=float), SMOOTH, mode="nearest") / np.diff(edges)
+        middle = 0.5 * (edges[1:] + edges[:-1])
+        axis.fill_between(middle, sign * rate, label=label, color=colour, alpha=0.7, linewidth=0)
     axis.axhline(0.0, color=INK, linewidth=0.5)
     axis.set(xlabel="time since the first event (s)", ylabel="events per second, OFF downwards")
     axis.yaxis.set_major_formatter(lambda rate, _: _prefixed(abs(rate)))
     axis.set_title(", ".join(f"line at {line.frequency_hz:.2f} Hz" for line in health.lines[:3]))
-    axis.legend(ncols=2)
+    legend_above(axis)
     return axis
 
 
@@ -66,7 +83,8 @@ def draw_pixels(health: Health, overview: Overview, axis: Any = None) -> Any:
     axis = axis if axis is not None else new_axis(6.0, 4.2)
     least, most = float(overview.image.min()), float(overview.image.max())
     wide = most > WIDE * (least + 1.0)  # then as logarithms, zero a step below one
-    shown = axis.imshow(np.log10(overview.image + 1.0) if wide else overview.image, cmap=SEQUENTIAL)
+    # from zero: a small spread is to look small
+    shown = axis.imshow(np.log10(overview.image + 1.0) if wide else overview.image, cmap=SEQUENTIAL, vmin=0.0)
     for pixel in health.hot_pixels[:HOT_PIXELS_SHOWN]:
         axis.plot(pixel.x, pixel.y, "o", mfc="none", mec=UNEXPLAINED, mew=1.2, markersize=8)
     rows, columns = overview.image.shape
@@ -105,7 +123,7 @@ def draw_static_noise(noise: StaticNoise, axes: Any = None) -> Any:
     rate.set(xscale="log", yscale="log", xlabel="light (lux)", ylabel="events per second, median pixel")
     regularity.axhline(1.0, color=MUTED, linewidth=0.8, linestyle="--")
     regularity.set(xscale="log", ylim=(0.0, 1.15), xlabel="light (lux)", ylabel="coefficient of variation of intervals")
-    rate.legend()
+    legend_above(axes)
     return axes
 
 

@@ -173,7 +173,7 @@ class EventTimes:
         circuits, clocks = self._circuits(circuit)
         parts = list(zip(circuits, self.evaluators, where, self.layout.per_section(vector), clocks, strict=True))
         located = self._filled(parts)
-        by_gain = self._add_gains(vector, circuits, clocks, located)
+        by_gain = self._gains_added(vector, circuits, clocks, located)
         changes = self.layout.stacked(vector, tuple(located), by_gain)
         if self.unknown_light is not None:
             self.unknown_light.apply(changes, self.sign)
@@ -188,10 +188,15 @@ class EventTimes:
         """`here`, but for one recording under another circuit; its extremes where they were."""
         vector = here.vector.copy()
         circuits, clocks = self._circuits(circuit)
-        rows = self.layout.per_section(vector)
         mine = [k for k, of in enumerate(self._recording_of_section) if of == recording]
-        self._filled([(circuits[k], self.evaluators[k], here.extremes[k], rows[k], clocks[k]) for k in mine])
-        self._add_gains(vector, circuits, clocks, here.extremes, mine)
+        self._filled([
+            (circuits[k], self.evaluators[k], here.extremes[k], self.layout.of_section(vector, k), clocks[k])
+            for k in mine
+        ])  # fmt: skip
+        for k in mine if self.is_uneven else ():
+            by_gain = self._gain_of(k, vector, circuits[k], clocks[k], here.extremes[k])
+            for row, by in zip(self.layout.of_section(vector, k), by_gain, strict=True):
+                row += by
         changes = self.layout.stacked(vector)
         if self.unknown_light is not None:
             self.unknown_light.apply(changes, self.sign, self.layout.recording == recording)
@@ -203,37 +208,50 @@ class EventTimes:
                 row[mine] /= self.threshold_factor[mine]
         return changes
 
-    def _add_gains(
+    def _gains_added(
         self,
         vector: np.ndarray,
         circuits: Sequence[Circuit],
         clocks: Sequence[Clock | None],
         extremes: Sequence[Extremes],
-        sections: Sequence[int] | None = None,
     ) -> np.ndarray | None:
-        """Move changes, of some sections or all, by what their pixels see more or less than the light says, to first
-        order: as held, or under these circuits.  What was added, of all sections; None in an even field."""
+        """Move changes by what their pixels see more or less than the light says; what was added, None in an even
+        field."""
         if self._uneven is None:
             return None
-        which = range(len(circuits)) if sections is None else sections
-        mine, added = self.layout.per_section(vector), self.by_gain
+        added = self.by_gain
         if added is None:
-            there, added = vector.copy(), np.zeros_like(vector)
-            rows, by = self.layout.per_section(there), self.layout.per_section(added)
-            brighter = [c.with_(light_gain=c.light_gain * (1.0 + BRIGHTER)) for c in circuits]
-            self._filled([(brighter[k], self._brighter[k], extremes[k], rows[k], clocks[k]) for k in which])
-            events, ends = self._uneven
-            gains = np.split(events, self.layout.event_ends), np.split(ends, self.layout.end_ends)
-            for k in which:
-                for here, moved, by_gain, gain in zip(mine[k], rows[k], by[k], (gains[0][k], gains[1][k]), strict=True):
-                    with np.errstate(over="ignore", invalid="ignore"):
-                        slope = (moved - here) / BRIGHTER
-                    by_gain[:] = gain * np.nan_to_num(slope, copy=False, posinf=0.0, neginf=0.0)
-        by = self.layout.per_section(added)
-        for k in which:
-            for here, by_gain in zip(mine[k], by[k], strict=True):
-                here += by_gain
+            parts = zip(range(len(circuits)), circuits, clocks, extremes, strict=True)
+            gains = map_threads(
+                lambda part: self._gain_of(part[0], vector, *part[1:]), list(parts), threads=None if self._large else 1
+            )
+            added = np.empty_like(vector)
+            for section, gain in zip(self.layout.per_section(added), gains, strict=True):
+                for row, by in zip(section, gain, strict=True):
+                    row[:] = by
+        vector += added
         return added
+
+    def _gain_of(
+        self, k: int, vector: np.ndarray, circuit: Circuit, clock: Clock | None, extremes: Extremes
+    ) -> tuple[np.ndarray, ...]:
+        """What gains of pixels add to the rows of section k, to first order: as held, or under a circuit."""
+        assert self._uneven is not None
+        if self.by_gain is not None:
+            return self.layout.of_section(self.by_gain, k)
+        mine = self.layout.of_section(vector, k)
+        there = mine[0].copy(), mine[1].copy()
+        brighter = circuit.with_(light_gain=circuit.light_gain * (1.0 + BRIGHTER))
+        self._brighter[k].fill(brighter, extremes, *there, clock=clock, unknown=self.layout.unknown)
+        events, ends = self._uneven
+        by = []
+        for row, moved, gain in zip(
+            mine, there, (events[self.layout.events_of(k)], ends[self.layout.ends_of(k)]), strict=True
+        ):
+            with np.errstate(over="ignore", invalid="ignore"):
+                slope = (moved - row) / BRIGHTER
+            by.append(gain * np.nan_to_num(slope, copy=False, posinf=0.0, neginf=0.0))
+        return tuple(by)
 
     def _circuits(self, circuit: Circuit) -> tuple[list[Circuit], list[Clock | None]]:
         """Of every section: the circuit as it was in its recording, and the clock."""

@@ -175,9 +175,24 @@ class Layout:
 
     def per_section(self, vector: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
         """Views (7, n_s), (4, m_s) of each section's columns, to be filled."""
+        return [self.of_section(vector, k) for k in range(len(self.event_ends) + 1)]
+
+    def of_section(self, vector: np.ndarray, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """Views (7, n_s), (4, m_s) of one section's columns."""
         events, ends = self._blocks(vector)
-        parts = np.split(events, self.event_ends, axis=1), np.split(ends, self.end_ends, axis=1)
-        return list(zip(*parts, strict=True))
+        return events[:, self.events_of(k)], ends[:, self.ends_of(k)]
+
+    def events_of(self, k: int) -> slice:
+        """Columns of the events of section k."""
+        return _part(self.event_ends, k)
+
+    def ends_of(self, k: int) -> slice:
+        """Columns of the unfinished intervals of section k."""
+        return _part(self.end_ends, k)
+
+
+def _part(ends: np.ndarray, k: int) -> slice:
+    return slice(None if k == 0 else ends[k - 1], None if k == len(ends) else ends[k])
 
 
 def layout_of(recordings: Sequence[Recording], intervals: Sequence[Sequences], sections: Sequence[Section]) -> Layout:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pixelid.figures.style import IMPROVED, INK, MUTED, SERIES, new_axes, save_figure, styled
+from pixelid.figures.style import IMPROVED, INK, MUTED, SERIES, legend_above, new_axes, save_figure, styled
 from pixelid.lowlight import poles, radii, response
 from pixelid.stages.circuit import Circuit
 
@@ -77,7 +77,7 @@ def draw_poles(result: dict, circuit: Circuit, kinds: list[str], axes: Any = Non
         axes[0, 0].plot(curves["radiance"], curves["exact"][name], color=colour, alpha=0.8, label=words)
     for axis in axes[0]:
         _shade(axis, result)
-    axes[0, 0].legend()
+    legend_above(axes, 3)
     return axes
 
 
@@ -96,7 +96,7 @@ def draw_errors(result: dict, circuit: Circuit, kinds: list[str], axes: Any = No
                     100 * error(radiance),
                     color=STYLES[kind][0],
                     linestyle="-" if scope == "photoreceptor" else "--",
-                    label=f"{LABELS[kind]}, {scope}",
+                    label=f"{LABELS[kind]}, of the {scope}",
                 )
         for level in radii.LEVELS:
             for sign in (-100, 100):
@@ -104,8 +104,8 @@ def draw_errors(result: dict, circuit: Circuit, kinds: list[str], axes: Any = No
         axis.axhline(0.0, color=INK, linewidth=0.8)
         axis.set(xscale="log", ylim=(-105, 105), xlabel=f"radiance ({result['radiance_unit']})")
         axis.set(ylabel=f"error of the {name.replace('_', ' ')} (%)")
-        axis.legend()
         _shade(axis, result)
+    legend_above(axes, 2)
     return axes
 
 
@@ -121,9 +121,9 @@ def draw_bode(result: dict, circuit: Circuit, kinds: list[str], axes: Any = None
     levels = [entry["radiance"] for entry in result["regimes"]["levels"]]
     if axes is None:
         axes = new_axes(2, len(levels), 2.8, 2.4)
+    cutoffs = [radii.quantity("bandwidth", _chain(circuit, radiance, "exact")) for radiance in levels]
+    f = np.geomspace(min(cutoffs) / 30, max(cutoffs) * 30, 300)  # levels are compared: one range
     for column, radiance in enumerate(levels):
-        middle = radii.quantity("bandwidth", _chain(circuit, radiance, "exact"))
-        f = np.geomspace(middle / 100, middle * 100, 300)
         for kind in kinds:
             colour, line = STYLES[kind]
             H = response.gain(_chain(circuit, radiance, kind), f)
@@ -134,7 +134,10 @@ def draw_bode(result: dict, circuit: Circuit, kinds: list[str], axes: Any = None
         axes[1, column].set(xscale="log", xlabel="frequency (Hz)")
     axes[0, 0].set_ylabel("gain (dB)")
     axes[1, 0].set_ylabel("phase (°)")
-    axes[0, 0].legend()
+    low = min(axis.get_ylim()[0] for axis in axes[1])
+    for axis in axes[1]:
+        axis.set_ylim(low, 10.0)
+    legend_above(axes)
     return axes
 
 
@@ -153,7 +156,7 @@ def draw_steps(result: dict, circuit: Circuit, kinds: list[str], axes: Any = Non
         axis.axhline(response.LEVEL, color=MUTED, linewidth=0.5)
         axis.set(xlabel="time after the step (ms)", title=f"{radiance:.3g} {result['radiance_unit']}")
     axes[0, 0].set_ylabel("response")
-    axes[0, 0].legend()
+    legend_above(axes)
     return axes
 
 
@@ -179,7 +182,7 @@ def draw_measured(result: dict, axes: Any = None) -> Any:
             axis.set_xscale("log")
     for axis in axes.flat[len(entries) :]:
         axis.set_axis_off()
-    axes[0, 0].legend()
+    legend_above(axes)
     return axes
 
 
@@ -209,5 +212,5 @@ def draw_latency_poles(latency: dict, axes: Any = None) -> Any:
             axis.plot(x, y if known else [low for low, _ in y], mark, color=IMPROVED, markersize=4, label=label)
         axis.set(xscale="log", yscale="log", xlabel="light after the step (W/m²)", title=f"light {edge}")
     axes[0, 0].set_ylabel("dominant pole (rad/s)")
-    axes[0, 0].legend()
+    legend_above(axes)
     return axes

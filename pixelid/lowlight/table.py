@@ -27,7 +27,7 @@ def radii_rows(content: dict) -> list[list[str]]:
                 rows.append(
                     [NAMES[kind], _named(quantity, scope)]
                     + ["dark" if value == 0 else number(value) for value in first]
-                    + [f"{100 * entry['largest_under']:.0f} %", _over(entry["largest_over"])]
+                    + [_share(entry["largest_under"]), _share(entry["largest_over"])]
                 )
     return rows
 
@@ -36,8 +36,16 @@ def _named(quantity: str, scope: str) -> str:
     return "slowest pole" if quantity == "dominant_pole" else f"{quantity.replace('_', ' ')}, {scope}"
 
 
-def _over(error: float) -> str:
-    return f"+{100 * error:.0f} %" if error < 10 else "> 10×"
+def _share(error: float) -> str:
+    """A signed error in per cent; one of many times the value as such.
+
+    >>> _share(-0.494), _share(0.26), _share(0.001), _share(12.0)
+    ('−49 %', '+26 %', '0 %', '> 10×')
+    """
+    if error >= 10:
+        return "> 10×"
+    percent = round(100 * error)
+    return f"{percent:+d} %".replace("-", "−") if percent else "0 %"
 
 
 def measured_rows(content: dict) -> list[list[str]]:

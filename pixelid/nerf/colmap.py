@@ -49,11 +49,11 @@ def read_transforms(file: Path) -> dict[str, Any]:
 
 
 def colmap_document(images: Path) -> dict[str, Any]:
-    """COLMAP's `images.txt` or `images.bin`, and the cameras beside it, as a `transforms_*.json` states them."""
+    """COLMAP's `images.txt` or `images.bin`, and the cameras next to it, as a `transforms_*.json` states them."""
     named = [images.with_name(CAMERAS + suffix) for suffix in (images.suffix, ".txt", ".bin")]
     file = next((file for file in named if file.is_file()), None)
     if file is None:
-        raise InputError(f"{images}: expected {CAMERAS}{images.suffix} beside it, found none")
+        raise InputError(f"{images}: expected {CAMERAS}{images.suffix} next to it, found none")
     cameras = dict(_entries(file, "cameras", _cameras))
     poses = _entries(images, "images", _poses)
     frames = []

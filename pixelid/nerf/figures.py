@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pixelid.figures.style import INK, OFF, ON, new_axes, save_figure, series_colours, styled
+from pixelid.figures.style import INK, OFF, ON, legend_above, new_axes, save_figure, series_colours, styled
 from pixelid.nerf.beside import write_slider
 from pixelid.nerf.reconstruct import Reconstruction
 from pixelid.nerf.residuals import Left
@@ -38,7 +38,7 @@ def draw_views(result: Reconstruction, axes: Any = None) -> Any:
     truth, images = result.truth.images, result.scores.images
     which = np.unique(np.linspace(0, len(truth) - 1, min(SHOWN, len(truth))).astype(int))
     if axes is None:
-        axes = new_axes(3, len(which), 2.0, 2.0)
+        axes = new_axes(3, len(which), 2.9, 2.2)
     peak = result.truth.peak
     for column, k in enumerate(which):
         error = np.abs(images[k] - np.clip(truth[k], 0, peak)).mean(axis=-1)
@@ -54,6 +54,7 @@ def draw_views(result: Reconstruction, axes: Any = None) -> Any:
         axis.set_xticks([])
         axis.set_yticks([])
         axis.grid(False)
+        axis.spines[:].set_visible(False)
     axes[2, 0].figure.colorbar(error_map, ax=axes[2].tolist(), shrink=0.8, label="radiance (units of the views)")
     return axes
 
@@ -70,7 +71,7 @@ def draw_training(result: Reconstruction, axes: Any = None) -> Any:
     for (name, words), colour in zip(terms.items(), series_colours(3), strict=True):
         left.plot(steps, [entry[name] for entry in history], label=words, color=colour)
     left.set(yscale="log", xlabel="step", ylabel="loss")
-    left.legend()
+    legend_above(left, 1)
     right.plot(steps, [entry["running_psnr"] for entry in history], color=INK)
     right.set(xlabel="step", ylabel="PSNR of a validation view (dB)")
     for axis in (left, right):
@@ -119,8 +120,8 @@ def draw_residuals(
         for axis in axes[:, column]:
             axis.set_ylim(low, high)
     for row, (_, words) in enumerate(shown):
-        axes[row, 0].set_ylabel(f"{words}:\nmean rest (thresholds)")
-    axes[0, 0].legend()
+        axes[row, 0].set_ylabel(f"{words}:\nmean residual (thresholds)")
+    legend_above(axes)
     return axes
 
 

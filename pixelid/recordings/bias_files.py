@@ -1,4 +1,4 @@
-"""Prophesee's bias settings beside a recording: `NAME.bias` of every generation, or Metavision Studio's JSON.
+"""Prophesee's bias settings next to a recording: `NAME.bias` of every generation, or Metavision Studio's JSON.
 
 194   % bias_diff_off   % v        bias_fo = 1477        {"ll_biases_state": {"bias": [{"name": …, "value": …}]}}
 """
@@ -16,7 +16,7 @@ BY_NAME = re.compile(r"\s*%?\s*\"?(\w*bias\w*)\"?\s*[:=,;\s]\s*(-?\d{1,9}|0x[0-9
 
 
 def biases_beside(path: Path) -> dict[str, int]:
-    """Biases by name, of the first file beside `path` that holds any; nothing where there is none."""
+    """Biases by name, of the first file next to `path` that holds any; nothing where there is none."""
     for file in (path.with_suffix(".bias"), path.with_name(f"{path.name}.bias"), path.with_suffix(".json")):
         if file.is_file() and (found := _read(file)):
             return found

@@ -48,7 +48,7 @@ def doubts(recording: Recording) -> list[str]:
 
 
 def _times_doubt(events: Events) -> str:
-    """Of events that share few times, which tell nothing of a pixel's answer."""
+    """Of events that share few times, which show nothing of a pixel's answer."""
     if len(events) < MIN_EVENTS:
         return ""
     if events.t[0] == events.t[-1]:

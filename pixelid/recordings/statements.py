@@ -1,4 +1,4 @@
-"""What a file of arrays states of its sensor and its times in attributes, small arrays and scalars beside the events.
+"""What a file of arrays states of its sensor and its times in attributes, small arrays and scalars with the events.
 
 Programs call these by many names: `width` and `height`, `resolution`, `sensor_size`, `geometry`; `unit`, `time_unit`,
 `timestamp_units`.  Two numbers of a size come in either order; one that is wider than high is meant, if both hold all

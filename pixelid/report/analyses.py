@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Any
 
+from pixelid.report.circuit import uses_of
 from pixelid.report.format import interval, number, seconds, sentence
-from pixelid.report.page import Number, Result, Summary, command_line
+from pixelid.report.page import Number, Result, Summary, command_line, folder_name, inputs_of
+from pixelid.report.quantities import quantity
 
 
 def summarise_lowlight(result: Result, folder: Path) -> Summary:
@@ -15,7 +18,7 @@ def summarise_lowlight(result: Result, folder: Path) -> Summary:
     unit = result["radiance_unit"]
     return Summary(
         "lowlight",
-        f"{result['model']} in low light",
+        _answer_lowlight(result),
         result["status"],
         result.get("advice", ""),
         (
@@ -26,7 +29,20 @@ def summarise_lowlight(result: Result, folder: Path) -> Summary:
             Number("recordings compared", str(len(result["measured"]))),
         ),
         command_line("lowlight", result, str(result["model"]), out=folder, inputs=False),
+        f"{result['model']} in low light",
+        next=uses_of(shlex.quote(folder_name(folder)))[:2],
     )
+
+
+def _answer_lowlight(result: Result) -> str:
+    """Below which light one pole is right within 10 %, in everything that it is compared in."""
+    scopes = [entry for by_scope in result["errors"]["one_pole"].values() for entry in by_scope.values()]
+    firsts = [first for entry in scopes if (first := entry["levels"]["10%"]["first"]) is not None]
+    if not firsts:
+        return "One pole is accurate to 10 % at every level of light"
+    if not min(firsts):
+        return "One pole is off by 10 % even in the dark"
+    return f"One pole is accurate to 10 % below {number(min(firsts), 3)} {result['radiance_unit']}"
 
 
 def prepare_lowlight(result: Result, folder: Path) -> dict[str, Any]:
@@ -39,6 +55,7 @@ def prepare_lowlight(result: Result, folder: Path) -> dict[str, Any]:
         not_measurable,
         radii_rows,
     )
+    from pixelid.tables.noise.model import FA_PER_LUX
 
     levels = [
         [number(x["radiance"], 3)]
@@ -49,7 +66,17 @@ def prepare_lowlight(result: Result, folder: Path) -> dict[str, Any]:
         )
         for x in result["regimes"]["levels"]
     ]  # fmt: skip
+    drawn = [
+        "Exact and approximate poles, −3 dB frequency and step time over radiance.",
+        "Grey: 95 % band of the fit." if result.get("bands") else "",
+        "Green: measured, with 95 % bars; ×: the model's own events under the same light."
+        if result["measured"]
+        else "",
+        "Shaded: the pair of poles is complex." if result["regimes"]["critical"] else "",
+    ]
     return {
+        "fa_per_lux": FA_PER_LUX if result["radiance_unit"] == "fA" else None,
+        "poles_caption": " ".join(filter(None, drawn)),
         "radii_headings": RADII_HEADINGS,
         "radii": radii_rows(result),
         "measured_headings": MEASURED_HEADINGS,
@@ -67,7 +94,7 @@ def summarise_design(result: Result, folder: Path) -> Summary:
     best = result["recommended"]
     return Summary(
         "design",
-        f"Record next: {best['name']}",
+        f"Record next: {best['name'].replace('_', ' ')}, {seconds(best['duration_s'])}",
         result["status"],
         " ".join(sentence(x) for x in (result["why"], result.get("advice", "")) if x),
         (
@@ -79,7 +106,18 @@ def summarise_design(result: Result, folder: Path) -> Summary:
         ),
         command_line("design", result, str(result["model"]), "--criterion", result["criterion"], out=folder,
                      inputs=False),
+        f"For {result['model']}",
+        next=_play(result, folder),
     )  # fmt: skip
+
+
+def _play(result: Result, folder: Path) -> tuple[tuple[str, str], ...]:
+    """Commands that write and try the recommended light."""
+    own, model = shlex.quote(folder_name(folder)), inputs_of(result, folder) or shlex.quote(str(result["model"]))
+    return (
+        ("Its waveform, for a generator or a sound card", f"pixelid stimulus {own} --out {own}.wav"),
+        ("What the model does with it", f"pixelid simulate {model} --stimulus {own}/next.toml --out {own}.h5"),
+    )
 
 
 def _summarise_biases(result: Result, folder: Path) -> Summary:
@@ -114,11 +152,18 @@ def prepare_design(result: Result, folder: Path) -> dict[str, Any]:
             "measured_headings": bias_result.MEASURED_HEADINGS,
             "measured": bias_result.measured_rows(result),
         }
-    from pixelid.design.table import RANKING_HEADINGS, WIDTHS_HEADINGS, ranking_rows, widths_rows
+    from pixelid.design.table import RANKING_HEADINGS, WIDTHS_HEADINGS, ranking_rows
 
     return {
         "ranking_headings": RANKING_HEADINGS,
-        "ranking": ranking_rows(result),
+        "ranking": [[row[0].replace("_", " "), *row[1:]] for row in ranking_rows(result)],
         "widths_headings": WIDTHS_HEADINGS,
-        "widths": widths_rows(result),
+        "widths": [_width(name, one, result["widths_after"][name]) for name, one in result["widths_before"].items()],
     }
+
+
+def _width(name: str, before: dict[str, Any], after: dict[str, Any]) -> list[str]:
+    """A parameter, its value, its intervals before and after, how much narrower, and its unit."""
+    first, last = quantity(name, before), quantity(name, {**after, "value": before["value"], "unit": before["unit"]})
+    ratio = f"{before['std_coordinate'] / after['std_coordinate']:.3g} ×"
+    return [first.label, first.value, first.interval, last.interval, ratio, first.unit]

@@ -2,30 +2,17 @@
 
 from __future__ import annotations
 
-import base64
 import shlex
 from pathlib import Path
 from typing import Any
 
-from pixelid.documents import is_number, read_json
 from pixelid.figures import words
-from pixelid.report.forest import forest
+from pixelid.report.circuit import STATUS_LINES, circuit_alone, circuit_parts, light_unit, next_recording, uses_of
 from pixelid.report.format import count, counted, number, percent, seconds
-from pixelid.report.methods import bibtex, methods
+from pixelid.report.methods import methods
 from pixelid.report.page import Number, Result, Summary, command_line, folder_name, identified
-from pixelid.report.pixel_drawing import draw_pixel
 from pixelid.report.quantities import quantities
-from pixelid.report.scripts import script
 
-STATUS_LINES = {
-    "converged": "All checks passed: the model describes the recordings",
-    "misfit": "The model does not describe everything in the recordings",
-    "at_bound": "A parameter is on its bound",
-    "not_identified": "The recordings leave part of the circuit open",
-    "not_converged": "Not reliable: the optimiser stopped early",
-    "diverged": "Not reliable: the fit diverged",
-    "interrupted": "Interrupted: call it again to go on",
-}
 WHAT_TO_DO = {  # about a statement that the events contradict
     "level": "The fit uses the level found. Check filter and distance, then state `level` in bench.toml.",
     "offset": "The fit uses the zero found. Measure it with the photodiode covered.",
@@ -41,8 +28,6 @@ METHODS = {
     "inherited": "by the other recordings",
 }  # fmt: skip
 SHOWN_OF_A_KIND = 3  # of contradicted statements: more of a kind have one cause, which the first show
-MOST_LINKED = 512 << 10  # bytes of a file that is put into the page; a page is to stay below 3 MB
-LINKED = {"model.toml": "text/plain", "calibration.json": "application/json"}
 
 
 def summarise(result: Result, folder: Path) -> Summary:
@@ -57,7 +42,7 @@ def summarise(result: Result, folder: Path) -> Summary:
         result["status"],
         result.get("advice", ""),
         (
-            identified(_circuit_alone(result)),
+            identified(circuit_alone(result)),
             Number("recordings used", f"{used} of {len(result['recordings'])}"),
             Number("events", count(result["events"]), f"of {counted(result['pixels'], 'pixel')}"),
             _unexplained(result),
@@ -65,65 +50,22 @@ def summarise(result: Result, folder: Path) -> Summary:
         ),
         command_line("calibrate", result, out=folder),
         line,
+        next=uses_of(shlex.quote(folder_name(folder))),
     )
 
 
 def prepare(result: Result, folder: Path) -> dict[str, Any]:
     """What the template shows in addition to the JSON."""
     shown = quantities(result["parameters"])
-    start, truth = result["start"], read_truth(folder, result)
-    added = list(dict.fromkeys(q.effect for q in shown if q.effect and q.parameter not in start))
+    added = list(dict.fromkeys(q.effect for q in shown if q.effect and q.parameter not in result["start"]))
     estimated = [q for q in shown if not q.fixed]
-    return {
-        "copy": script("copy"),
-        "drawings": [draw_pixel(shown, added, narrow) for narrow in (False, True)],
-        "forest": forest(result["parameters"], start, truth, added),
-        "untracked": [q for q in estimated if not _has_logarithm(result["parameters"][q.parameter])],
-        "added": added,
+    return circuit_parts(result["parameters"], result["start"], folder, result["base"], added) | {
         "statements": _by_kind(result["bench"]),
-        "any_open": any(not q.identified for q in estimated),
         "recordings": [_recording(k, row, result["bench"]) for k, row in enumerate(result["recordings"])],
-        "bench_parameters": {n: p for n, p in result["parameters"].items() if n not in {q.parameter for q in shown}},
         "refitted": bool(result["effects"] or result["described"]),
-        "next_sentence": _next(result["recommended_next"], _light_unit(result)),
-        "commands": _commands(folder_name(folder)),
-        "downloads": _downloads(folder),
+        "next_sentence": next_recording(result["recommended_next"], light_unit(result["parameters"])),
         "methods": methods(result, estimated, [name.replace("_", " ") for name in added]),
-        "bibtex": bibtex(result),
     }
-
-
-def read_truth(folder: Path, result: Result) -> dict[str, float]:
-    """True values by parameter from truth.json in the folder, where one lies there.
-
-    It holds values by parameter, also under `parameters`, or by the name of an effect under `effects`.
-    """
-    file = folder / "truth.json"
-    if not file.is_file() or file.is_symlink():
-        return {}
-    content = read_json(file)
-    nested = content.get("parameters"), content.get("effects")
-    parameters, effects = (part if isinstance(part, dict) else {} for part in nested)
-    truth = {}
-    for q in quantities(result["parameters"]):
-        found = next((part[name] for part, name in (
-            (content, q.parameter), (parameters, q.parameter), (effects, q.effect)
-        ) if name in part), None)  # fmt: skip
-        if is_number(found):
-            truth[q.parameter] = float(found)
-    return truth
-
-
-def _light_unit(result: Result) -> str:
-    """The unit of the light, as that of γ or of the corner has it; "" where neither is there."""
-    entry = result["parameters"].get("gamma") or result["parameters"].get("alpha_over_beta") or {}
-    return str(entry.get("unit", "")).rpartition("/s/")[2]
-
-
-def _circuit_alone(result: Result) -> Result:
-    """The result with the pixel's parameters only: its title counts no others."""
-    own = {q.parameter for q in quantities(result["parameters"])}
-    return {**result, "parameters": {n: p for n, p in result["parameters"].items() if n in own}}
 
 
 def _unexplained(result: Result) -> Number:
@@ -131,10 +73,6 @@ def _unexplained(result: Result) -> Number:
     if held_out:
         return Number("events unexplained", percent(held_out["background_fraction"]), "on pixels held out")
     return Number("log-likelihood", number(result["log_likelihood"], 6), "nats")
-
-
-def _has_logarithm(entry: dict[str, Any]) -> bool:
-    return bool(entry["value"]) and entry["value"] > 0
 
 
 def _by_kind(bench: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -176,47 +114,3 @@ def _alignment(aligned: dict[str, Any] | None) -> str:
     how = METHODS.get(aligned["method"], aligned["method"])
     start = f"{aligned['offset_s']:,.4f}".replace(",", "\N{NARROW NO-BREAK SPACE}")
     return f"The light starts at {start} s of the camera's clock{known}, {how}."
-
-
-def _next(recommended: dict[str, Any], unit: str) -> str:
-    """What to record next, in a sentence."""
-    why, stimulus = recommended.get("why", "").replace("_", " "), recommended.get("stimulus")
-    if not stimulus:
-        return f"Recommended next: {why}." if why else ""
-    values = [_with_unit(name, v, unit) for name, v in stimulus["parameters"].items() if name != "duration_s"]
-    details = f" ({', '.join(values)})" if values else ""
-    return f"Record next: {stimulus['kind']}{details} for {words.seconds(stimulus['duration_s'])}, {why}."
-
-
-def _with_unit(name: str, value: float, light: str) -> str:
-    """A stimulus' parameter in words; its name ends in its unit.
-
-    >>> _with_unit("stop_hz", 794.0, "fA"), _with_unit("level", 210.0, "fA"), _with_unit("rise_s", 2e-3, "fA")
-    ('stop 794 Hz', 'level 210 fA', 'rise 2 ms')
-    """
-    if name.endswith("_hz"):
-        return f"{name.removesuffix('_hz').replace('_', ' ')} {number(value, 3)} Hz"
-    if name.endswith("_s"):
-        return f"{name.removesuffix('_s').replace('_', ' ')} {words.seconds(value)}"
-    unit = f" {light}" if name == "level" and light else ""
-    return f"{name.replace('_', ' ')} {number(value, 3)}{unit}"
-
-
-def _commands(folder: str) -> list[tuple[str, str]]:
-    """(what for, command) in the order in which one would want them."""
-    model = shlex.quote(folder)
-    return [
-        ("Which light to record next, and what it would improve", f"pixelid design {model} --out {model}_next"),
-        ("The same pixel in a simulator", f"pixelid export {model} --to v2e --out {model}_v2e.json"),
-        ("How slow it is in low light", f"pixelid lowlight {model} --out {model}_lowlight"),
-    ]
-
-
-def _downloads(folder: Path) -> list[tuple[str, str]]:
-    """(name, data URI) of the files that go with the page."""
-    links = []
-    for name, kind in LINKED.items():
-        file = folder / name
-        if file.is_file() and not file.is_symlink() and file.stat().st_size <= MOST_LINKED:
-            links.append((name, f"data:{kind};base64,{base64.b64encode(file.read_bytes()).decode()}"))
-    return links

@@ -2,44 +2,53 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Any
 
-from pixelid.conform.row import strengths_in_words
-from pixelid.report.format import counted, number, seconds
-from pixelid.report.page import Number, Result, Summary, command_line
+from pixelid.figures.words import in_words
+from pixelid.report.format import chance, counted, number, seconds
+from pixelid.report.gap import grown_parameters, strengths
+from pixelid.report.page import Number, Result, Summary, command_line, folder_name, inputs_of
 
 
 def summarise(result: Result, folder: Path) -> Summary:
     """How many effects of the signal path are there, are missing, cannot be decided."""
-    counts = result["counts"]
+    counts, own = result["counts"], shlex.quote(folder_name(folder))
     return Summary(
         "conform",
-        f"The signal path of {result['sensor'] or 'these recordings'}",
+        f"{counts['present']} effects present, {counts['absent']} absent, {counts['not_decidable']} not decidable",
         result["verdict"],
         result["sentence"],
         (
-            Number("has", counted(counts["present"], "effect")),
-            Number("lacks", counted(counts["absent"], "effect")),
+            Number("present", counted(counts["present"], "effect")),
+            Number("absent", counted(counts["absent"], "effect")),
             Number("not decidable", counted(counts["not_decidable"], "effect")),
             Number("not tested", counted(counts["not_tested"], "effect")),
             Number("time taken", seconds(result.get("seconds"))),
         ),
         command_line("conform", result, "--model", str(result["base"]), out=folder),
+        f"The signal path of {result['sensor'] or 'these recordings'}",
+        next=(
+            (
+                "Estimate everything found, with intervals",
+                f"pixelid fit {inputs_of(result, folder)} --model {own} --out {own}_fit",
+            ),
+        ),
     )
 
 
 def prepare(result: Result, folder: Path) -> dict[str, Any]:
     """The table, and the cells of the maps before and after."""
+    parameters = grown_parameters(result, folder)
     rows = [
         [
             row["stage"].replace("_", " "),
-            row["effect"],
+            in_words(row["effect"]),
             row["verdict"].replace("_", " "),
-            strengths_in_words(row),
-            number(row["evidence"]["p_value"], 2),
+            strengths(row, parameters) if row["verdict"] == "present" else row["evidence"]["why"],
+            chance(row["evidence"]["p_value"]),
             number(row["evidence"]["heldout_gain_nats"], 3),
-            row["evidence"]["why"],
         ]
         for row in result["rows"]
     ]

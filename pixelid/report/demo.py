@@ -8,8 +8,8 @@ from typing import Any
 
 from pixelid.documents import read_json
 from pixelid.report import bench
-from pixelid.report.format import in_its_unit
 from pixelid.report.page import Result, Summary, command_line
+from pixelid.report.quantities import quantity
 
 CALIBRATION = "calibration.json"  # lies in the same folder
 
@@ -33,6 +33,7 @@ def prepare(result: Result, folder: Path) -> dict[str, Any]:
 
 def _row(entry: dict[str, Any]) -> list[Any]:
     """Parameter, truth, estimate, interval, unit, and whether the interval holds the truth."""
-    shown = in_its_unit(entry | {"value": entry["found"]})
+    q = quantity(entry["name"], entry | {"value": entry["found"]})
+    truth = quantity(entry["name"], entry | {"value": entry["hidden"]})
     inside = "not estimated" if entry["inside"] is None else entry["inside"]
-    return [entry["name"], shown.of(entry["hidden"]), shown.value, shown.interval, shown.unit, inside]
+    return [q.label, truth.value, q.value, q.interval, q.unit, inside]

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Any
 
-from pixelid.documents import read_json
+from pixelid.figures.words import in_words
 from pixelid.fit.bias_priors import prior_table
 from pixelid.parameters.invariants import PHYSICAL_UNITS
-from pixelid.report.format import count, counted, in_its_unit, number, percent, seconds, value
-from pixelid.report.page import Number, Result, Summary, command_line, identified
+from pixelid.report.circuit import STATUS_LINES, circuit_alone, circuit_parts, shipped_values, uses_of
+from pixelid.report.format import count, counted, in_its_unit, interval, number, percent, seconds, value
+from pixelid.report.methods import methods_of_fit
+from pixelid.report.page import Number, Result, Summary, command_line, folder_name, identified, inputs_of
+from pixelid.report.quantities import name_of, quantities
 
+USABLE = {"converged": "Usable", "not_identified": "Usable in part"}
+LACKING = ("converged", "misfit", "not_converged")  # after which a search for what is missing comes next
 PHYSICAL_WORDS = {
     "A_amp": "amplifier gain", "A_loop": "total loop gain", "tau_out": "output time constant",
     "q_in": "input time constant × radiance", "q_mil": "Miller time constant × radiance",
@@ -19,30 +25,51 @@ PHYSICAL_WORDS = {
 
 
 def summarise_fit(result: Result, folder: Path) -> Summary:
+    own = shlex.quote(folder_name(folder))
+    again = ("Find what the model lacks", f"pixelid gap {inputs_of(result, folder)} --model {own} --out {own}_gap")
     return Summary(
         "fit",
-        f"{result['model']}, fitted",
+        _answer(result),
         result["status"],
         result.get("advice", ""),
         (
+            identified(circuit_alone(result)),
             Number("events", count(result["events"])),
             Number("pixels", str(result["pixels"]), f"in {counted(len(result['recordings']), 'recording')}"),
-            identified(result),
             Number("log-likelihood", number(result["log_likelihood"], 6), "nats"),
             Number("time taken", seconds(result["seconds"])),
         ),
         command_line("fit", result, "--model", str(result["model"]), out=folder),
+        f"{result['model']}: {STATUS_LINES.get(result['status'], '')}",
+        next=(*([again] if result["status"] in LACKING else []), *uses_of(own)),
     )
 
 
+def _answer(result: Result) -> str:
+    """Whether the fit may be used, and how much of the circuit it identifies."""
+    share = identified(circuit_alone(result)).value
+    return f"{USABLE.get(result['status'], 'Not usable as it is')}: {share} parameters identified"
+
+
 def prepare_fit(result: Result, folder: Path) -> dict[str, Any]:
-    truth = folder / "truth.json"
-    return {
-        "truth": read_json(truth) if truth.is_file() else None,
+    model, estimated = str(result["model"]), [q for q in quantities(result["parameters"]) if not q.fixed]
+    start = shipped_values(model, result["parameters"])
+    return circuit_parts(result["parameters"], start, folder, model) | {
         "physical": _physical(result),
         "levels": levels_of(result),
         "biases": [list(row) for row in prior_table(result["bias_priors"]).rows] if "bias_priors" in result else None,
+        "posterior": _posterior(result["details"].get("posterior") or {}),
+        "methods": methods_of_fit(result, estimated),
     }
+
+
+def _posterior(sampled: dict[str, Any]) -> list[list[Any]]:
+    """Mean, interval and convergence of every parameter that was sampled."""
+    return [
+        [name_of(name), number(row["mean"]), interval(row["interval_95"]), f"{row['effective_samples']:.0f}",
+         f"{row['nested_r_hat']:.4f}"]
+        for name, row in sampled.get("parameters", {}).items()
+    ]  # fmt: skip
 
 
 def levels_of(result: Result) -> dict[str, list[list[str]]] | None:
@@ -70,19 +97,19 @@ def _physical(result: Result) -> list[list[str]]:
     for name, v in (result.get("physical") or {}).items():
         shown = in_its_unit({"value": v, "interval_95": ends.get(name), "unit": PHYSICAL_UNITS.get(name, "")})
         said = f"assumed: {stated[name]}" if isinstance(stated.get(name), float | int) else shown.interval
-        rows.append([name, PHYSICAL_WORDS.get(name, ""), shown.value, said, shown.unit])
+        rows.append([name.replace("_", " "), PHYSICAL_WORDS.get(name, ""), shown.value, said, shown.unit])
     return rows
 
 
 def summarise_compare(result: Result, folder: Path) -> Summary:
     models = result["models"]
     order = sorted(models, key=lambda name: -models[name]["behind_best_nats"])
-    second = models[order[1]]
+    second, sure = models[order[1]], result["status"] == "converged"
     return Summary(
         "compare",
-        " or ".join(models) + "?",
+        f"{result['best']} describes unseen pixels best",
         result["status"],
-        result["sentence"][:1].upper() + result["sentence"][1:] + ".",
+        result["sentence"][:1].upper() + result["sentence"][1:] + "." + _caution(result),
         (
             Number("most likely on held-out pixels", result["best"]),
             Number("ahead of the next by", number(-second["behind_best_nats"], 3), "nats"),
@@ -91,7 +118,20 @@ def summarise_compare(result: Result, folder: Path) -> Summary:
             Number("models", str(len(models))),
         ),
         command_line("compare", result, *(w for name in models for w in ("--model", name)), out=folder),
+        f"{counted(len(models), 'model')} compared" + ("" if sure else "; not every fit is reliable"),
+        healthy=sure,
+        next=(
+            (
+                "Find what the best of them lacks",
+                f"pixelid gap {inputs_of(result, folder)} --model {result['best']} --out gap",
+            ),
+        ),
     )
+
+
+def _caution(result: Result) -> str:
+    """Why the status is not good although a model is ahead."""
+    return "" if result["status"] == "converged" else f" None of them is the whole truth: {result['advice']}"
 
 
 def prepare_compare(result: Result, folder: Path) -> dict[str, Any]:
@@ -106,27 +146,36 @@ def prepare_compare(result: Result, folder: Path) -> dict[str, Any]:
 
 def summarise_sensor(result: Result, folder: Path) -> Summary:
     maps = result["maps"]
-    first = next(iter(maps.values()))
+    first_name, first = next(iter(maps.items()))
     return Summary(
         "sensor",
-        f"Maps of {result['width']} × {result['height']} pixels",
+        f"{_name(first_name)} varies by {percent(first['relative_spread'])} over "
+        + counted(result["pixels_with_events"], "pixel"),
         result["status"],
         result.get("advice", ""),
         (
             Number("pixels with events", count(result["pixels_with_events"])),
             Number("events", count(result["events"])),
             Number("parameters mapped", str(len(maps))),
-            Number(f"spread of {next(iter(maps))}", percent(first["relative_spread"])),
+            Number(f"spread of {_name(first_name)}", percent(first["relative_spread"])),
             Number("time taken", seconds(result["seconds"])),
         ),
         command_line("sensor", result, "--model", str(result["model"]), out=folder),
+        f"Maps of {result['width']} × {result['height']} pixels",
+        next=uses_of(shlex.quote(folder_name(folder))),
     )
+
+
+def _name(parameter: str) -> str:
+    """A parameter as a title begins with it."""
+    words = in_words(parameter)
+    return words[:1].upper() + words[1:]
 
 
 def prepare_sensor(result: Result, folder: Path) -> dict[str, Any]:
     return {
         "maps": [
-            [name, value(m["mean"], m["mean_interval_95"]), m["unit"], percent(m["relative_spread"]),
+            [_name(name), value(m["mean"], m["mean_interval_95"]), m["unit"], percent(m["relative_spread"]),
              percent(m["typical_error_before"]), percent(m["typical_error_after"]), str(m["without_estimate"])]
             for name, m in result["maps"].items()
         ]

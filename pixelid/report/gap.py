@@ -3,36 +3,88 @@
 from __future__ import annotations
 
 import math
+import shlex
 from pathlib import Path
 from typing import Any
 
 from pixelid.errors import InputError
 from pixelid.model.files import load_model
+from pixelid.report.circuit import circuit_parts, light_unit, next_recording, shipped_values, uses_of
 from pixelid.report.fits import levels_of
-from pixelid.report.format import chance, interval, number, percent, seconds, value
-from pixelid.report.page import Number, Result, Summary, command_line
+from pixelid.report.format import chance, number, percent, seconds
+from pixelid.report.methods import methods_of_search
+from pixelid.report.page import VERDICTS, Number, Result, Summary, command_line, folder_name, inputs_of
+from pixelid.report.quantities import quantity
 from pixelid.stages import effect
 from pixelid.stages.described_words import words_of_entry
+
+HEADLINES = {
+    "named": "With it, {} describes pixels that no fit has seen better",
+    "none": "What {} leaves looks like noise",
+    "ambiguous": "These recordings cannot separate what {} may lack",
+    "unknown": "No effect of the library explains what {} leaves",
+}
 
 
 def summarise(result: Result, folder: Path) -> Summary:
     """The verdict, how sure it is, and how much of the gap is closed."""
-    details = result.get("details", {})
+    details, base, own = result.get("details", {}), _base_name(folder), shlex.quote(folder_name(folder))
     tried = _names_tried(result)
+    refit = f"pixelid fit {inputs_of(result, folder)} --model {own} --out {own}_fit"
+    found = bool(result["effects"] or result.get("described"))
     return Summary(
         "gap",
-        f"What {_base_name(folder)} lacks",
+        _answer(result, folder),
         result["verdict"],
         result["sentence"],
         (
             Number("effects named", str(len(result["effects"])), f"of {len(tried)} tried" if tried else ""),
-            Number("chance of this if the model were right", chance(result["global_p"]), f"limit {result['alpha']:g}"),
+            Number("p-value (nothing missing)", chance(result["global_p"]), f"limit {result['alpha']:g}"),
             _strongest(result, details),
             _closed(result, details),
             Number("time taken", seconds(result.get("seconds"))),
         ),
-        command_line("gap", result, "--model", _base_name(folder), out=folder),
+        command_line("gap", result, "--model", base, out=folder),
+        HEADLINES.get(result["verdict"], "").format(base),
+        next=(*([("Estimate circuit and effect together, with intervals", refit)] if found else []), *uses_of(own)),
     )
+
+
+def _answer(result: Result, folder: Path) -> str:
+    """What is missing, in one line."""
+    strengths = _strengths_named(result, grown_parameters(result, folder))
+    if strengths:
+        return f"Missing effect{'s' if len(result['effects']) > 1 else ''}: {'; '.join(strengths)}"
+    if result.get("described"):
+        return f"Missing, described by an equation: {'; '.join(words_of_entry(e) for e in result['described'])}"
+    return VERDICTS.get(str(result["verdict"]), str(result["sentence"]))
+
+
+def _strengths_named(result: Result, parameters: dict[str, Any]) -> list[str]:
+    """Every effect named, with its first parameter and interval."""
+    texts = []
+    for e in result["effects"]:
+        name, entry = next(iter(e["parameters"].items()), ("", None))
+        q = quantity(name, {"unit": parameters.get(name, {}).get("unit", ""), **entry}) if entry else None
+        known = f" ({q.interval.replace(' … ', ' to ')})" if q and q.interval != "–" else ""
+        texts.append(e["name"].replace("_", " ") + (f", {q.value} {q.unit}".rstrip() + known if q else ""))
+    return texts
+
+
+def grown_parameters(result: Result, folder: Path) -> dict[str, Any]:
+    """The grown model's parameters as fits have them, with the intervals of what was added; empty without a model."""
+    try:
+        model = load_model(folder / "model.toml")
+    except InputError:
+        return {}
+    ends = {name: v.get("interval_95") for e in result.get("effects", ()) for name, v in e["parameters"].items()}
+    return {
+        name: {
+            "value": model.values[name], "unit": p.unit, "interval_95": ends.get(name), "identified": True,
+            "fixed": not p.free,
+        }
+        for name, p in model.parameters.items()
+    }  # fmt: skip
 
 
 def _strongest(result: Result, details: dict[str, Any]) -> Number:
@@ -87,7 +139,7 @@ def _tried(result: Result) -> list[list[str]]:
             c = fitted.get(name, {})
             said = "named" if name == entry["named"] else "fitted" if c else "not\u00a0fitted"
             rows.append(
-                [str(entry["round"]), name, _what_it_does(name), number(looked.get(name), 3),
+                [str(entry["round"]), name.replace("_", " "), _what_it_does(name), number(looked.get(name), 3),
                  number(c.get("gain_nats"), 3), number(c.get("heldout_gain_nats"), 3),
                  chance(c["p_value"]) if c else "–", said]
             )  # fmt: skip
@@ -99,35 +151,34 @@ def _departure(row: Result) -> float:
     return abs(row["measured"] - row["base"]) / math.sqrt(max(row["base"], 1.0))
 
 
-def _strengths(entry: dict[str, Any]) -> str:
+def strengths(entry: dict[str, Any], parameters: dict[str, Any]) -> str:
     """The parameters of an effect, with intervals where they are known."""
+    shown = [quantity(name, {"unit": "", **parameters.get(name, {}), **v}) for name, v in entry["parameters"].items()]
     return "; ".join(
-        f"{name} = {value(v['value'], v.get('interval_95'))}"
-        + (f" ({interval(v['interval_95'])})" if v.get("interval_95") else "")
-        for name, v in entry["parameters"].items()
+        f"{q.name} {q.value} {q.unit}".rstrip() + (f" ({q.interval})" if q.interval != "–" else "") for q in shown
     )
 
 
 def prepare(result: Result, folder: Path) -> dict[str, Any]:
     """The tables of the page, and which of its figures show counts."""
-    details = result.get("details", {})
+    details, base, parameters = result.get("details", {}), _base_name(folder), grown_parameters(result, folder)
     effects = [
         [
-            e["name"],
-            _strengths(e),
+            e["name"].replace("_", " "),
+            strengths(e, parameters),
             chance(e["p_value"]),
             number(e["heldout_gain_nats"], 3),
-            f"{e['runner_up']}, {number(e['runner_up_gain_nats'], 3)}" if e.get("runner_up") else "–",
-            f"{e['max_cosine_with']} ({e['max_cosine']:.2f})" if e.get("max_cosine_with") else "–",
+            f"{e['runner_up'].replace('_', ' ')}, {number(e['runner_up_gain_nats'], 3)}" if e.get("runner_up") else "–",
+            f"{e['max_cosine_with'].replace('_', ' ')} ({e['max_cosine']:.2f})" if e.get("max_cosine_with") else "–",
         ]
         for e in result["effects"]
     ]
     shows = details.get("shows_at_typical_strength_nats", {})
     confusion = [
         [
-            name,
+            name.replace("_", " "),
             number(shows.get(name), 3),
-            f"{v['most_alike']} ({v['cosines'][v['most_alike']]:.2f})" if v["most_alike"] else "–",
+            f"{v['most_alike'].replace('_', ' ')} ({v['cosines'][v['most_alike']]:.2f})" if v["most_alike"] else "–",
             number(v["told_apart_nats"], 3),
         ]
         for name, v in sorted(details.get("confusion", {}).items(), key=lambda item: shows.get(item[0]) or 0.0)
@@ -142,14 +193,22 @@ def prepare(result: Result, folder: Path) -> dict[str, Any]:
         [
             words_of_entry(e),
             e["equation"],
-            _strengths(e),
+            strengths(e, {}),
             number(e["heldout_gain_nats"], 3),
         ]
         for e in result.get("described", ())
     ]
+    added = list(dict.fromkeys(e["name"] for e in result["effects"]))
+    names = _strengths_named(result, parameters)
+    circuit = circuit_parts(parameters, shipped_values(base, parameters), folder, base, added) if parameters else {}
     return {
+        "drawings": (), "base": base, **circuit,
         "described": described, "levels": levels_of(result),
-        "base": _base_name(folder), "effects": effects, "tried": _tried(result), "names_tried": _names_tried(result),
+        "effects": effects, "tried": _tried(result), "names_tried": _names_tried(result),
         "confusion": confusion, "after_jumps": jumps, "grown": grown, "pooled": "after_jumps" in details,
-        "named": [(e["name"], _what_it_does(e["name"]), e["where"]) for e in result["effects"]],
+        "named": [(e["name"].replace("_", " "), _what_it_does(e["name"]), e["where"]) for e in result["effects"]],
+        "worse": [name for name, one in ((result.get("gap") or {}).get("per_recording") or {}).items()
+                  if one["after"] > one["before"]],
+        "next_sentence": next_recording(result["recommended_next"], light_unit(parameters)),
+        "methods": methods_of_search(result, base, names),
     }  # fmt: skip

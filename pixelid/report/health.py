@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Any
 
 from pixelid.report.format import count, counted, interval, number, percent, seconds, sentence
-from pixelid.report.page import Number, Result, Summary, command_line
+from pixelid.report.page import Number, Result, Summary, command_line, inputs_of
 
 
 def summarise_inspect(result: Result, folder: Path) -> Summary:
@@ -20,9 +21,11 @@ def summarise_inspect(result: Result, folder: Path) -> Summary:
     else:
         dead_time = Number("dead time", "not visible")
     worries = _worries(result)
+    file = inputs_of(result, folder) or "RECORDING"
+    stem = shlex.quote(Path(result["name"]).name or "recording")
     return Summary(
         "inspect",
-        result["name"] or "Recording",
+        _answer(result["name"] or "Recording", worries),
         "",
         "What the events of the recording show by themselves, without knowing the light.",
         (
@@ -33,9 +36,20 @@ def summarise_inspect(result: Result, folder: Path) -> Summary:
             Number("hot pixels", str(result["hot_pixel_count"])),
         ),
         command_line("inspect", result, out=folder, seed=False),
-        "No problems found" if not worries else f"Look at this first: {', '.join(worries)}",
+        "Ready to be fitted" if not worries else "Look at this first",
         healthy=not worries,
+        next=(
+            (
+                "Attach the light, found among the events",
+                f"pixelid convert {file} {stem}_lit.h5 --stimulus light.csv --align auto",
+            ),
+            ("Then fit the circuit", f"pixelid fit {stem}_lit.h5 --model dvs128 --out fit"),
+        ),
     )
+
+
+def _answer(name: str, worries: list[str]) -> str:
+    return f"No problems found in {name}" if not worries else f"{name}: {', '.join(worries)}"
 
 
 def prepare_inspect(result: Result, folder: Path) -> dict[str, Any]:
@@ -56,7 +70,7 @@ def summarise_static_noise(result: Result, folder: Path) -> Summary:
     conditions, leak = result["conditions"], result["by_light"]
     return Summary(
         "inspect",
-        "Noise of a still scene",
+        _leak_or_noise(conditions),
         "",
         result["findings"][-1] if result["findings"] else "",
         (
@@ -67,7 +81,7 @@ def summarise_static_noise(result: Result, folder: Path) -> Summary:
             Number("by light", number(leak["parasitic_hz_per_lux"], 2) if leak else "–", "Hz/lux" if leak else ""),
         ),
         command_line("inspect", result, out=folder),
-        _leak_or_noise(conditions),
+        "Noise of a still scene",
     )
 
 

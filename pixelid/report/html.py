@@ -18,16 +18,21 @@ from pixelid import provenance
 from pixelid.documents import interpreting, read_json
 from pixelid.errors import InputError, printable
 from pixelid.figures.style import without_control_characters
-from pixelid.figures.words import in_words
 from pixelid.outputs import whole_file
 from pixelid.report import format as formats
+from pixelid.report.circuit import downloads
+from pixelid.report.methods import bibtex
 from pixelid.report.page import Page, recorded_command
 from pixelid.report.pages import PAGES
 from pixelid.report.pictures import Picture, read_picture
+from pixelid.report.quantities import quantity
+from pixelid.report.scripts import script
 from pixelid.results import check_parameters
 
 TEMPLATES = Path(__file__).parent / "templates"
 CAPTIONS = Path(__file__).parent / "captions.toml"
+CONTENTS = 4  # headings from which a page lists them
+_HEADING = re.compile(r'<h2(?: id="([^"]+)")?>(.*?)</h2>', re.DOTALL)
 LINKED = (".json", ".toml", ".nc", ".npz", ".csv", ".h5")
 
 
@@ -93,6 +98,7 @@ def _rendered(page: Page, result: dict[str, Any], folder: Path) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters["with_contents"] = with_contents
     environment.globals |= {
         "number": formats.number,
         "value": formats.value,
@@ -100,9 +106,8 @@ def _rendered(page: Page, result: dict[str, Any], folder: Path) -> str:
         "percent": formats.percent,
         "chance": formats.chance,
         "sentence": lambda text, capital=True: with_code(formats.sentence(text, capital)),
-        "with_powers": lambda cell: formats.with_powers(str(cell)),
-        "in_its_unit": formats.in_its_unit,
-        "words": _in_words,
+        "with_powers": lambda cell: cell if isinstance(cell, Markup) else formats.with_powers(str(cell)),
+        "quantity": quantity,
         "counted": formats.counted,
         "unique": lambda: f"rows-{next(ids)}",
         "take": lambda name: pictures.pop(name, None),
@@ -113,6 +118,11 @@ def _rendered(page: Page, result: dict[str, Any], folder: Path) -> str:
         "summary": page.summarise(result, folder),
         "files": sorted(printable(path.name) for path in folder.iterdir() if path.suffix in LINKED and path.is_file()),
         "others": (),
+        "scripts": [script("page")],
+        "downloads": downloads(folder, page.file),
+        "bibtex": bibtex(result),
+        "methods": "",
+        "next_sentence": "",
         **page.prepare(result, folder),
     }
     # figures that the template does not name come at its end: the first rendering says which are left
@@ -134,10 +144,19 @@ def with_code(text: str) -> Markup:
     return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text))))
 
 
-def _in_words(name: str) -> str:
-    """What a parameter is, where its name does not say so itself."""
-    said = in_words(name)
-    return "" if said == name or said.replace(", ", ".").replace(" ", "_") == name else said
+def with_contents(body: str) -> Markup:
+    """The body of a page whose headings can be linked to, under a list of them where there are many.
+
+    >>> str(with_contents("<h2>One & all</h2>"))
+    '<h2 id="one-all">One & all</h2>'
+    """
+    named = _HEADING.sub(lambda m: m[0] if m[1] else f'<h2 id="{_anchor(m[2])}">{m[2]}</h2>', body)
+    links = [f'<a href="#{name}">{title}</a>' for name, title in _HEADING.findall(named)]
+    return Markup((f'<nav aria-label="Contents">{" ".join(links)}</nav>' if len(links) >= CONTENTS else "") + named)
+
+
+def _anchor(title: str) -> str:
+    return re.sub(r"\W+", "-", re.sub(r"<[^>]*>|&\w+;", "", title).lower()).strip("-")
 
 
 def _pictures(page: Page, folder: Path) -> dict[str, Picture]:

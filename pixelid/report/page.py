@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import shlex
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -49,6 +50,7 @@ class Summary:
         command: how to make it again; empty where the result does not say.
         headline: what stands for the status where there is none.
         healthy: good or warn where there is no status; None says neither.
+        next: (what for, command) of what to do with the result.
     """
 
     kind: str
@@ -59,6 +61,7 @@ class Summary:
     command: str
     headline: str = ""
     healthy: bool | None = None
+    next: tuple[tuple[str, str], ...] = ()
 
     @property
     def tone(self) -> str:
@@ -110,6 +113,13 @@ def command_line(name: str, result: Result, *words: str, out: Path, inputs: bool
     files = [f for f in result.get("inputs_sha256", {}) if not f.endswith((".toml", "fit.json"))] if inputs else []
     parts = ["pixelid", name, *files, *words, *(["--seed", str(result["seed"])] if seed and "seed" in result else [])]
     return shlex.join([*parts, "--out", folder_name(out)])
+
+
+def inputs_of(result: Result, folder: Path) -> str:
+    """The recordings of a result as a command names them."""
+    words = shlex.split(recorded_command(folder))[2:] if recorded_command(folder) else []
+    given = list(itertools.takewhile(lambda word: not word.startswith("-"), words))
+    return shlex.join(given or [f for f in result.get("inputs_sha256", {}) if not f.endswith((".toml", "fit.json"))])
 
 
 def folder_name(out: Path) -> str:

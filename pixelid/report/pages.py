@@ -8,7 +8,9 @@ from pixelid.report.page import Page
 PAGES = (
     Page("demo.json", "demo.html", demo.summarise, demo.prepare, like="calibration"),  # before calibration.json
     Page("calibration.json", "calibration.html", bench.summarise, bench.prepare),
-    Page("conform.json", "conform.html", conform.summarise, conform.prepare),  # before gap.json, which lies beside it
+    Page(
+        "conform.json", "conform.html", conform.summarise, conform.prepare, like="gap"
+    ),  # before gap.json, which lies beside it
     Page("gap.json", "gap.html", gap.summarise, gap.prepare),
     Page("fit.json", "fit.html", fits.summarise_fit, fits.prepare_fit),
     Page("lowlight.json", "lowlight.html", analyses.summarise_lowlight, analyses.prepare_lowlight),

@@ -114,7 +114,11 @@ def _parameter(q: Quantity, is_added: bool, x: float, y: float) -> Markup:
     heading = [escape(line) for line in _heading(q, is_added)]
     if is_added:
         heading[0] = Markup('<tspan class="mark">{}</tspan>{}').format(ADDED, heading[0].removeprefix(ADDED))
-    lines = [*((line, "name") for line in heading), (value, ""), (escape(state or q.interval), "interval")]
+    lines = [
+        *((line, "name") for line in heading),
+        (value, ""),
+        (escape(state or q.interval.replace("–", "")), "interval"),
+    ]
     box = Markup('<rect class="box" x="{:g}" y="{:g}" width="{}" height="{:g}" rx="4"/>').format(
         x - 6, y - 2, BOX, LINE * len(lines) + 5
     )

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from pixelid.errors import InputError
-from pixelid.figures.words import in_words
+from pixelid.figures.words import SYMBOLS, UNIT, in_words
 from pixelid.report.format import Shown, in_its_unit, interval, value
 from pixelid.stages import LIBRARY, comparator, effect, photoreceptor
 from pixelid.stages.described import Described
@@ -21,12 +20,6 @@ STAGES = {
     "comparator": "Comparator",
     "readout": "Readout",
 }
-SYMBOLS = {  # (letter, index)
-    "alpha": ("α", ""), "beta": ("β", ""), "gamma": ("γ", ""), "alpha_over_beta": ("α/β", ""),
-    "sf_cutoff_hz": ("f", "sf"), "diff_cutoff_hz": ("f", "diff"),
-    "on_threshold": ("C", "on"), "off_threshold": ("C", "off"),
-    "threshold_sigma": ("σ", "C"), "threshold_mismatch.sigma": ("σ", "pixel"), "refractory_s": ("τ", "dead"),
-}  # fmt: skip
 NAMES = {
     "alpha": "α", "beta": "β", "gamma": "γ", "alpha_over_beta": "corner per light",
     "sf_cutoff_hz": "cutoff frequency", "diff_cutoff_hz": "cutoff frequency", "on_threshold": "ON threshold",
@@ -81,7 +74,7 @@ def quantity(parameter: str, entry: Mapping[str, Any]) -> Quantity:
     own = _effect_of(parameter)
     return Quantity(
         parameter,
-        SYMBOLS.get(parameter, ("", "")),
+        SYMBOLS.get(parameter.partition("[")[0], ("", "")),
         name_of(parameter),
         shown.value,
         shown.interval,
@@ -98,21 +91,24 @@ def name_of(parameter: str) -> str:
 
     >>> name_of("leak.rate_hz"), name_of("on_threshold"), name_of("slew_limit.rise_per_s")
     ('leak', 'ON threshold', 'slew limit, rise per s')
-    >>> name_of("described.rate.time_in_recording.linear.strength")
-    'rate by time in recording'
+    >>> name_of("described.rate.time_in_recording.linear.strength"), name_of("cutoff_hz[fo 1477]")
+    ('rate by time in recording', 'cutoff, fo 1477')
     """
+    parameter, _, of = parameter.removesuffix("]").partition("[")
+    if of:
+        return f"{name_of(parameter)}, {of}"
     if parameter in NAMES:
         return NAMES[parameter]
     own = _effect_of(parameter)
     if not own:
-        return in_words(parameter)
+        return in_words(UNIT.sub("", parameter))
     known = effect(own)
     several = len([p for p in known.parameters if p.free]) > 1
     if isinstance(known, Described):
         depends = "" if known.covariate == "none" else f" by {known.covariate}"
         words = f"{known.quantity}{depends}" + (f", {parameter.rpartition('.')[2]}" if several else "")
         return words.replace("_", " ")
-    return in_words(re.sub(r"(?<!per)_(hz|rad|s)$", "", parameter)) if several else own.replace("_", " ")
+    return in_words(UNIT.sub("", parameter)) if several else own.replace("_", " ")
 
 
 def stage_of(parameter: str) -> str:

@@ -2,27 +2,38 @@
 
 from __future__ import annotations
 
+import math
+import shlex
 from pathlib import Path
 from typing import Any
 
 from pixelid.documents import is_number
+from pixelid.figures.words import in_words
 from pixelid.nerf.limits import LEAST_SHARE
-from pixelid.report.format import number, seconds
-from pixelid.report.page import Number, Result, Summary, command_line
+from pixelid.report.format import count, counted, number, percent, seconds
+from pixelid.report.page import Number, Result, Summary, command_line, folder_name
 from pixelid.report.scripts import script
+
+PIXEL_UNITS = {
+    "alpha": "1/s² per unit of the views", "beta": "1/s", "gamma": "1/s per unit of the views", "follower": "Hz",
+    "differencing": "Hz", "on_threshold": "ln units", "off_threshold": "ln units", "refractory_s": "s",
+    "dark": "units of the views",
+}  # fmt: skip
+CUTOFFS = {"follower": "sf_cutoff_hz", "differencing": "diff_cutoff_hz"}  # rad/s in the JSON
 
 
 def summarise(result: Result, folder: Path) -> Summary:
-    views = result["views"]
+    views, own = result["views"], shlex.quote(folder_name(folder))
     return Summary(
         "reconstruct",
-        "A scene from events",
+        "Scene reconstructed"
+        + (f": {_places(views['psnr'], 1)} dB on test views" if views["psnr"] is not None else ""),
         result["status"],
         result.get("advice", ""),
         (
             Number("PSNR, mean", _places(views["psnr"], 2), "dB"),
             Number("SSIM, mean", _places(views["ssim"], 3)),
-            Number("unexplained", number(result["held_out_residual"], 3), "rms of changes, held-out pixels"),
+            Number("changes unexplained", percent(result["held_out_residual"]), "rms, held-out pixels"),
             Number("bandwidth", result["bandwidth"]),
             Number("time taken", seconds(result["seconds"]), f"{result['iterations']} steps on {result['device']}"),
         ),
@@ -36,6 +47,12 @@ def summarise(result: Result, folder: Path) -> Summary:
             out=folder,
             inputs=False,
         ),
+        next=(
+            (
+                "Views, depth and a flight through the scene",
+                f"pixelid render {own} --path orbit --depth --out {own}_views",
+            ),
+        ),
     )
 
 
@@ -46,17 +63,27 @@ def prepare(result: Result, folder: Path) -> dict[str, Any]:
         return number(v) if is_number(v) else str("–" if v is None else v)
 
     def row(name: str, v: dict) -> list[str]:
-        return [name, _places(v["psnr"], 2), _places(v["ssim"], 3), number(v["lpips"], 3)]
+        measures = [_places(v["psnr"], 2), _places(v["ssim"], 3)]
+        return [name, *measures, *([number(v["lpips"], 3)] if lpips else [])]
 
+    lpips = result["views"]["lpips"] is not None
     views = [row(v["name"], v) for v in result["views"]["per_view"]]
     beside = result.get("beside")
     other = f"bandwidth {beside['bandwidth']}, {_places(beside['psnr'], 1)} dB" if beside else ""
     return {
         "slid": (folder / "slider_reference.png").is_file(),
-        "slider": script("slider"),
+        "scripts": [script("page"), script("slider")],
         "beside": other,
         "views": [row("mean", result["views"]), *views] if views else [],
-        "pixel": [[name, cell(v)] for name, v in result["pixel"].items()],
+        "lpips": lpips,
+        "pixel": [
+            [
+                in_words(CUTOFFS.get(name, str(name))),
+                cell(v / math.tau if name in CUTOFFS and is_number(v) else v),
+                PIXEL_UNITS.get(name, ""),
+            ]
+            for name, v in result["pixel"].items()
+        ],
         "gap": _gap(result["gap"]) if result.get("gap") else None,
     }
 
@@ -98,14 +125,14 @@ def _places(value: float | None, places: int) -> str:
 
 def summarise_dataset(result: Result, folder: Path) -> Summary:
     """The card of a converted dataset."""
-    events, sensor = result["events"], result["sensor"]
+    events, sensor, own = result["events"], result["sensor"], shlex.quote(folder_name(folder))
     return Summary(
         "dataset",
-        "A dataset for reconstructions",
+        f"Dataset ready: {counted(sum(result['views'].values()), 'view')}, {count(events['kept'])} events",
         "",
         "",
         (
-            Number("events", f"{events['kept']:,}".replace(",", " ")),
+            Number("events", count(events["kept"])),
             Number("sensor", f"{sensor['width']} × {sensor['height']}", "pixels"),
             Number("time", seconds(result["duration_s"])),
             Number("views", str(sum(result["views"].values()))),
@@ -113,6 +140,7 @@ def summarise_dataset(result: Result, folder: Path) -> Summary:
         ),
         "",
         headline=f"From {result['layout']}",
+        next=(("Reconstruct the scene", f"pixelid reconstruct {own} --out {own}_scene"),),
     )
 
 
@@ -136,7 +164,7 @@ def summarise_render(result: Result, folder: Path) -> Summary:
     """The card of rendered views."""
     return Summary(
         "render",
-        "A reconstructed scene",
+        f"{counted(len(result['frames']), 'frame')} of the scene rendered",
         "",
         "",
         (

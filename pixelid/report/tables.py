@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Any
 
-from pixelid.report.format import number, percent, seconds
-from pixelid.report.page import Number, Result, Summary, command_line, identified
+from pixelid.report.format import counted, number, percent, seconds
+from pixelid.report.page import Number, Result, Summary, command_line, folder_name, identified
 
 
 def summarise_rates(result: Result, folder: Path) -> Summary:
     suspects = sum(abs(row["standardised"]) > 4 for row in result.get("rows", ()))
     return Summary(
         "rates",
-        {"pixel": "Event rates of one pixel", "pool": "Event rates of a light's image"}[result["model"]],
+        f"Event rates: {identified(result).value} parameters identified, {counted(suspects, 'outlier')}",
         result["status"],
         result.get("advice", ""),
         (
@@ -24,15 +25,19 @@ def summarise_rates(result: Result, folder: Path) -> Summary:
             Number("log-likelihood", number(result["log_likelihood"]), "nats"),
         ),
         command_line("rates", result, out=folder),
+        {"pixel": "Event rates of one pixel", "pool": "Event rates of a light's image"}[result["model"]],
     )
 
 
 def summarise_latency(result: Result, folder: Path) -> Summary:
     medians = {name: errors["median"] for name, errors in result["errors"].items() if "median" in errors}
+    own = shlex.quote(folder_name(folder))
     missed = [error["rms_without_spoiled"] for error in medians.values() if error["rms_without_spoiled"] is not None]
     return Summary(
         "latency",
-        f"First-event latency of {', '.join(result['cameras'])}",
+        f"Median latency predicted within {percent(max(missed))} (rms)"
+        if missed
+        else "No median latency to compare with",
         result["status"],
         result.get("advice", ""),
         (
@@ -43,7 +48,8 @@ def summarise_latency(result: Result, folder: Path) -> Summary:
             Number("time taken", seconds(result.get("seconds"))),
         ),
         command_line("latency", result, out=folder),
-        "Measured and predicted",
+        f"First-event latency of {', '.join(result['cameras'])}",
+        next=(("How slow it is in low light", f"pixelid lowlight {own} --out {own}_lowlight"),),
     )
 
 
@@ -53,7 +59,7 @@ def summarise_noise(result: Result, folder: Path) -> Summary:
     )
     return Summary(
         "noise",
-        "Noise events of still scenes",
+        f"Noise rates described within {percent(worst)}" if result["rows"] else "No noise rates",
         result["status"],
         result.get("advice", ""),
         (
@@ -64,6 +70,7 @@ def summarise_noise(result: Result, folder: Path) -> Summary:
             Number("unit of light", result["radiance_unit"]),
         ),
         command_line("noise", result, out=folder),
+        "Noise events of still scenes",
     )
 
 
@@ -118,7 +125,7 @@ def summarise_flicker(result: Result, folder: Path) -> Summary:
     locked = sum(g["amplitude_over_on_threshold"]["identified"] and g["phase_cycles"]["identified"] for g in groups)
     return Summary(
         "flicker",
-        f"Light that flickers at {frequency['value']:.2f} Hz",
+        f"Flicker at {frequency['value']:.2f} Hz: {locked} of {counted(len(groups), 'group')} locked",
         result["status"],
         result.get("advice", ""),
         (

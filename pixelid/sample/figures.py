@@ -8,12 +8,14 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from pixelid.figures.style import SERIES, new_axes, save_figure, series_colours, styled
+from pixelid.figures.style import MOST_WIDTH, SERIES, new_axes, save_figure, series_colours, styled
+from pixelid.figures.words import symbol, with_unit
 from pixelid.fit.coordinates import Coordinates
 from pixelid.sample.convergence import Convergence
 
 LEVELS = (0.68, 0.95)  # of the posterior inside the contours
 HISTOGRAM_LINE = 1.2  # points
+SMOOTHING = 1.0  # bins: contours of a few thousand draws are islands otherwise
 
 
 class Draws(Protocol):
@@ -38,24 +40,26 @@ def write_figures(posterior: Draws, folder: Path) -> list[Path]:
 
 @styled
 def draw_corner(posterior: Draws) -> Any:
-    """Every parameter against every other, in its own unit, with contours that hold 68 and 95 % of the draws.
+    """Every parameter of the pixel against every other, in its own unit; contours hold 68 and 95 % of the draws.
 
     Returns the (parameters, parameters) axes.
     """
     import corner
+    import matplotlib.pyplot as plt
 
-    values = posterior.values()
+    values = {name: v for name, v in posterior.values().items() if "[" not in name and "alignment" not in name}
     draws = np.stack([value.ravel() for value in values.values()], axis=1)
     # a parameter whose draws all agree to rounding has no range of its own
     ranges = [np.quantile(column, [0.001, 0.999]) for column in draws.T]
     ranges = [(low, high) if high > low else (low - 0.5, high + 0.5) for low, high in ranges]
+    # contours alone: a density of every pair makes a page of megabytes
     figure = corner.corner(
-        draws, labels=list(values), range=ranges, bins=30, levels=LEVELS, color=SERIES[0], plot_datapoints=False,
-        quantiles=(0.025, 0.5, 0.975), max_n_ticks=3, label_kwargs={"fontsize": 8}, quiet=True,
-        hist_kwargs={"linewidth": HISTOGRAM_LINE},  # which the style's patches, being filled, do not have
+        draws, fig=plt.figure(figsize=(MOST_WIDTH, MOST_WIDTH)), labels=[symbol(name) for name in values],
+        range=ranges, bins=30, levels=LEVELS, color=SERIES[0], plot_datapoints=False, plot_density=False,
+        no_fill_contours=True, quantiles=(0.025, 0.5, 0.975), max_n_ticks=2, labelpad=0.75, smooth=SMOOTHING,
+        quiet=True, hist_kwargs={"linewidth": HISTOGRAM_LINE},  # which the style's patches, being filled, do not have
     )  # fmt: skip
-    for axis in figure.axes:
-        axis.tick_params(labelsize=7)
+    figure.subplots_adjust(left=0.16, bottom=0.16, right=0.99, top=0.99)
     d = draws.shape[1]
     return np.array(figure.axes).reshape(d, d)
 
@@ -69,7 +73,7 @@ def draw_trace(posterior: Draws, axes: Any = None) -> Any:
     d = posterior.chain.shape[-1]
     rows = -(-d // 2)
     if axes is None:
-        axes = new_axes(rows, 2, 4.6, 1.4)
+        axes = new_axes(rows, 2, 4.3, 1.5, sharex=True)
     colours = series_colours(posterior.chain.shape[0])
     for i, (axis, p) in enumerate(zip(axes.flat, posterior.coordinates.parameters, strict=False)):
         for k, ensemble in enumerate(posterior.chain[..., i]):  # (steps, walkers)
@@ -78,8 +82,9 @@ def draw_trace(posterior: Draws, axes: Any = None) -> Any:
             steps = np.arange(len(values))
             axis.fill_between(steps, low, high, color=colours[k], alpha=0.25, linewidth=0)
             axis.plot(steps, values.mean(axis=1), color=colours[k], linewidth=0.8)
-        axis.set_title(f"{p.name}, nested R̂ {posterior.convergence.r_hat[i]:.4f}", fontsize=7)
-        axis.tick_params(labelsize=6)
+        axis.set_title(f"{with_unit(p.name, p.unit)}, R̂ {posterior.convergence.r_hat[i]:.4f}")
+    for axis in axes[-1]:
+        axis.set_xlabel("step")
     for axis in list(axes.flat)[d:]:
         axis.set_axis_off()
     return axes

@@ -118,7 +118,7 @@ def test_simulated_pixels_are_those_recorded(one_level):
 def test_data_at_one_level_call_for_another_level(advice):
     assert advice["recommended"]["name"] == "chirp_390"
     assert advice["pixels"] == 9
-    assert "sf_cutoff_hz" in advice["why"]
+    assert "source follower's cutoff" in advice["why"]
     assert [entry["score"] for entry in advice["ranking"]] == sorted(
         (entry["score"] for entry in advice["ranking"]), reverse=True
     )

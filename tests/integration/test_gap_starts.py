@@ -437,6 +437,21 @@ def test_shot_noise_that_the_base_looks_like_is_tried_before_any_effect(complete
     assert state.global_p == (2e-9 if alike else 1.0)  # that of the base, not of what the noise leaves
 
 
+@pytest.mark.parametrize("why", ["left out", "there already", "nothing is left"])
+def test_shot_noise_that_may_not_be_named_is_not_tried_before_effects(complete, monkeypatch, why):
+    monkeypatch.setattr(by_noise, "looks_like_shot_noise", lambda seen, criteria: True)
+    monkeypatch.setattr(by_noise, "named_in_noise", lambda state, context: pytest.fail("tried"))
+    hypothesis = complete.hypothesis
+    hypothesis = replace(hypothesis, seen=replace(hypothesis.seen, p=1.0 if why == "nothing is left" else 1e-9))
+    if why == "there already":
+        noisy = hypothesis.fit.model.with_effect("shot_noise")
+        hypothesis = replace(hypothesis, fit=replace(hypothesis.fit, model=noisy))
+    left_out = ("shot_noise",) if why == "left out" else ()
+    context = replace(CONTEXT, options=replace(CONTEXT.options, leave_out=left_out))
+    state = replace(complete, hypothesis=hypothesis)
+    assert by_noise.try_before_first_effect(state, context) is state
+
+
 @pytest.mark.parametrize("explained", [True, False])
 def test_where_shot_noise_leaves_something_it_counts_with_what_explains_that(complete, monkeypatch, explained):
     asked = []

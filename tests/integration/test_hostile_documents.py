@@ -40,7 +40,9 @@ RESULTS = sorted(file.name for file in (Path(__file__).parents[1] / "data" / "re
 NAMES = (
     "model", "recipe", "stimulus", "light table", "menu", "pool recipe", "rate table", "latency table", "noise table",
     "light .npy", "light .npz", *RESULTS, "fit.json", "gap.json", "recording .h5", "recording .npz", "recording .csv",
-    "recording .raw", "recording .aedat", "recording .dat", "recording aedat4 raw", "recording aedat4 lz4",
+    "recording .raw", "recording .aedat", "recording .dat", "foreign text", "foreign .npz", "foreign .npy",
+    "foreign light", "colmap cameras.txt", "colmap images.txt", "colmap cameras.bin", "colmap images.bin", "biases",
+    "recording aedat4 raw", "recording aedat4 lz4",
     "recording aedat4 zstd", "recording evt2", "recording evt3", "recording evt2.1", "recording mat",
     "recording mat packed", "recording prophesee h5", "recording dsec h5", "recording bag", "recording db3",
     "recording mcap", "kept chain", "kept tile", "kept fits", "kept checkpoint", "scene raw_events.npz",

@@ -36,6 +36,7 @@ GOOD = {  # command → words that run; {out} is free
     "latency": "latency.csv --out {out} --predict --model gen31",
     "flicker": "good.h5 --out {out} --groups 1x1",
     "noise": "noise.csv --out {out} --predict --model dvs128",
+    "biases": "biases.csv --out {out}",
     "lowlight": "dvs128 good.h5 --out {out}",
     "design": "dvs128 --out {out} --pixels 1 --draws 1",
     "stimulus": "chirp --seconds 0.01 --out {out}.csv",
@@ -93,6 +94,8 @@ def place(tmp_path_factory):
     light = Stimulus.from_arrays(np.linspace(0, 1.2, 50), 20 + rng.random(50), "fA")
     write_recording(Recording(events, light), folder / "good.h5")
     (folder / "rates.csv").write_text("freq_hz,slow,fast\n1,70,80\n5,200,300\n10,300,500\n50,100.5,200\n")
+    rows = "".join(f"{code},{1000 / (code + 23) + 5:.2f}\n" for code in range(0, 120, 10))
+    (folder / "biases.csv").write_text(f"bias_refr,dead_time_us\n{rows}")
     (folder / "noise.csv").write_text("lux,ON_events_per_s_per_px,OFF_events_per_s_per_px\n1,2.5,0.1\n10,0.5,0.05\n")
     rows = "CAM3,f2,1,0.05,0,210,3,100\n"
     (folder / "latency.csv").write_text(f"camera,lens,polarity,irradiance_W_m2,bias_config,median,stdev,pixels\n{rows}")

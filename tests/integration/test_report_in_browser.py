@@ -66,6 +66,16 @@ def of_still_scene(folder: Path) -> Path:
     return folder / "report.html"
 
 
+SMALLEST_TEXT_PX = 9.0
+# the texts of drawings as large as they are on the screen: [pixels, text] of the smallest
+SMALLEST_TEXT = """(() => {
+  const shown = t => t.getClientRects().length && t.textContent.trim();
+  const size = t => parseFloat(getComputedStyle(t).fontSize) * Math.hypot(t.getScreenCTM().a, t.getScreenCTM().b);
+  const texts = [...document.querySelectorAll('svg text')].filter(shown).map(t => [size(t), t.textContent]);
+  return texts.sort((a, b) => a[0] - b[0])[0];
+})()"""
+
+
 def look(window: browser.Browser, page: Path) -> None:
     """What must hold of a page at every width, by day and by night."""
     for width in WIDTHS:
@@ -74,6 +84,8 @@ def look(window: browser.Browser, page: Path) -> None:
             assert not window.complaints, (width, window.complaints)
             assert {address.partition(":")[0] for address in window.requests} <= {"file", "data"}, window.requests
             assert not window.sticking_out(), (width, window.sticking_out())
+        size, text = window.evaluate(SMALLEST_TEXT) or (SMALLEST_TEXT_PX, "")
+        assert size >= SMALLEST_TEXT_PX, (width, text)
     paper = window.evaluate("getComputedStyle(document.body).backgroundColor")
     window.visit(page, WIDTHS[0])
     assert window.evaluate("getComputedStyle(document.body).backgroundColor") != paper  # there is a dark one
@@ -90,22 +102,10 @@ def test_a_page_reads_everywhere(window, tmp_path, kind):
     look(window, page)
 
 
-SMALLEST_TEXT_PX = 9.0
-# the texts of drawings as large as they are on the screen: [pixels, text] of the smallest
-SMALLEST_TEXT = """(() => {
-  const shown = t => t.getClientRects().length && t.textContent.trim();
-  const size = t => parseFloat(getComputedStyle(t).fontSize) * Math.hypot(t.getScreenCTM().a, t.getScreenCTM().b);
-  const texts = [...document.querySelectorAll('svg text')].filter(shown).map(t => [size(t), t.textContent]);
-  return texts.sort((a, b) => a[0] - b[0])[0];
-})()"""
-
-
 def test_the_page_of_a_calibration_reads_everywhere(window, calibration):
     page = calibration[1] / "report.html"
     look(window, page)
     window.visit(page, 1200)
-    size, text = window.evaluate(SMALLEST_TEXT)
-    assert size >= SMALLEST_TEXT_PX, text
     assert window.evaluate("document.querySelectorAll('button.copy:not([hidden])').length") == 5
     window.evaluate("document.querySelector('button.copy').click()")
     window.visit(page, 390)

@@ -44,15 +44,17 @@ class _Found:
 def try_before_first_effect(state: State, context: Context) -> State:
     """The state with what shows under the noise that the filter finds named, and shot noise where replicates bear all
     of that out; as it is where the base does not look like shot noise, or they do not."""
-    if state.imputed or not looks_like_shot_noise(state.hypothesis.seen, context.options.criteria):
+    options, hypothesis = context.options, state.hypothesis
+    asked = EFFECT not in options.leave_out and not hypothesis.fit.model.has(EFFECT) and not state.imputed
+    if not (asked and state.remainder(options.alpha_each) and looks_like_shot_noise(hypothesis.seen, options.criteria)):
         return state
     more = named_in_noise(state.with_global_p(), context)
     if more is None:
         return state
-    if not more.remainder(context.options.alpha_each):
+    if not more.remainder(options.alpha_each):
         return more.then(Phase.SHOT_NOISE)
     more, noise = _look_beside(more, more.hypothesis, context)
-    if noise is None or noise.corrected.seen.p < context.options.alpha_each:
+    if noise is None or noise.corrected.seen.p < options.alpha_each:
         return replace(state, shot_noise_tried=more.shot_noise_tried)
     return _named(more, _Found(noise, more.hypothesis, len(more.steps), len(more.rounds) - 1)).then(Phase.DISCOUNT)
 

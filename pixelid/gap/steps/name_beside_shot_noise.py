@@ -13,7 +13,6 @@ from dataclasses import replace
 from scipy.stats import norm
 
 from pixelid.fit.maximise import Maximum
-from pixelid.fit.shot_noise import EFFECT
 from pixelid.gap.attribute.attribute import Attribution, Candidate, attribute, may_be_named
 from pixelid.gap.attribute.candidates import impossible, missing
 from pixelid.gap.attribute.pixels import candidates_of
@@ -25,7 +24,8 @@ from pixelid.gap.rounds import attribution_entry
 from pixelid.gap.shot_noise.beside import beyond_sessions_without, settled_under_noise
 from pixelid.gap.shot_noise.shot_noise import ShotNoise, find_shot_noise
 from pixelid.gap.state import State
-from pixelid.gap.steps.name_effect import MAX_ROUNDS, grown_by, with_accepted, with_refused
+from pixelid.gap.steps.name_effect import MAX_ROUNDS, with_refused
+from pixelid.gap.steps.name_in_noise import grown_without_noise
 
 # Chance of one effect's excess, from which replicates are made with it, too, whatever it gains.  A choice.
 PROMISING_P = 0.01
@@ -118,12 +118,9 @@ def _with(
     winner: Candidate[Maximum], attribution: Attribution[Maximum], noise: ShotNoise, state: State, context: Context
 ) -> State | None:
     """The state with an effect named and shot noise found anew beside it; None where that explains less then."""
-    bare = replace(winner, end=replace(winner.end, model=winner.end.model.without_effect(EFFECT)))
-    attribution = replace(attribution, winner=bare, runners_up=())
     before = replace(state, hypothesis=replace(state.hypothesis, corrected=None))
-    evidence = before.hypothesis.evidence.weighed(before.hypothesis.fit.model.circuit())
-    more = grown_by(with_accepted(before, bare, attribution, True), bare, evidence, context)
-    if not more.steps or more.steps[-1].effect != bare.effect:
+    more = grown_without_noise(before, winner, attribution, context)
+    if more is None:
         return None  # times drawn anew with it leave nothing for it
     step = more.steps[-1]
     if len(more.steps) > len(state.steps):  # else it took the place of an earlier one, and follows what that did

@@ -53,7 +53,8 @@ def _one_more(state: State, guess: Guess, context: Context) -> State | None:
     report = f"round {state.turn + 1}, in noise"
     context.report(report, 0.1)
     evidence, fit = settled_under_noise(hypothesis.evidence, guess.model, context.cache)
-    effects = [e for e in missing(fit.model) if e not in {*options.leave_out, *state.given_up}]
+    skip = {*options.leave_out, *state.given_up, *([JITTER] if state.hides_jitter else [])}
+    effects = [e for e in missing(fit.model) if e not in skip]
     candidates = candidates_of(evidence, fit.model, None, context.cache, context.work)
     attribution = attribute(candidates, effects, options, lambda what: context.report(f"{report}: {what}", 0.15))
     told = attribution_entry(state.turn, fit, hypothesis.seen, attribution, impossible(fit.model))
@@ -67,7 +68,7 @@ def _one_more(state: State, guess: Guess, context: Context) -> State | None:
     winner = min(judged, key=lambda c: (c.p, -c.gain))
     if winner.p >= options.alpha_each:
         return None
-    return _grown(state, winner, attribution, context)
+    return grown_without_noise(state, winner, attribution, context)
 
 
 def _may_be_named(candidate: Candidate[Maximum], events: EventTimes, context: Context) -> bool:
@@ -79,10 +80,11 @@ def _may_be_named(candidate: Candidate[Maximum], events: EventTimes, context: Co
     return candidate.end.values[SIGMA] < MAX_JITTER_SHARE * events.shortest_intervals_s(SHORT_QUANTILE)
 
 
-def _grown(
+def grown_without_noise(
     state: State, winner: Candidate[Maximum], attribution: Attribution[Maximum], context: Context
 ) -> State | None:
-    """The state with an effect named; None where it leaves nothing for it once the noise is the thresholds' again."""
+    """The state with an effect that was found under noise, which is the thresholds' again; None where nothing is left
+    for the effect then."""
     bare = replace(winner, end=replace(winner.end, model=winner.end.model.without_effect(EFFECT)))
     attribution = replace(attribution, winner=bare, runners_up=())
     evidence = state.hypothesis.evidence.weighed(state.hypothesis.fit.model.circuit())

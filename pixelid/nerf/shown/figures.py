@@ -27,7 +27,7 @@ def draw_frames(result: Rendered, axes: Any = None) -> Any:
         finite = result.depths[np.isfinite(result.depths)]
         low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
         scale = {"cmap": f"{SEQUENTIAL}_r", "vmin": low, "vmax": high}
-        below.append((result.depths, scale, "distance (units of the poses)"))
+        below.append((result.depths, scale, "distance (units of the poses), near is bright"))
     rows = 1 + len(below)
     if axes is None:
         axes = new_axes(rows, len(result.shown), 2.0, 2.0)
@@ -38,6 +38,7 @@ def draw_frames(result: Rendered, axes: Any = None) -> Any:
         axis.set_xticks([])
         axis.set_yticks([])
         axis.grid(False)
+        axis.spines[:].set_visible(False)
     for row, (images, scale, label) in enumerate(below, start=1):
         shown = [axes[row, k].imshow(image, **scale) for k, image in enumerate(images)]
         axes[0, 0].figure.colorbar(shown[-1], ax=axes[row].tolist(), shrink=0.8, label=label)

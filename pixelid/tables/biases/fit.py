@@ -96,7 +96,7 @@ class FittedLaw:
 
 
 def fit_laws(table: BiasTable, report: Callable[[float], None] = lambda done: None) -> list[FittedLaw]:
-    """All forms that the table can tell apart, best first, with weights, the first three with settings left out.
+    """All forms that the table can distinguish, best first, with weights, the first three with settings left out.
 
     Raises:
         InputError: fewer than 3 settings.

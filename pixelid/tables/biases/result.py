@@ -222,7 +222,7 @@ def _heldout(one: FittedLaw) -> dict[str, Any]:
 
 
 def _sentences(table: BiasTable, fitted: Sequence[FittedLaw]) -> list[str]:
-    """The law, its rivals, the rows that it disbelieves, and where it ends, in words."""
+    """The law, its rivals, its outlier rows, and where it ends, in words."""
     best, sentences = fitted[0], []
     low, high = best.law.low, best.law.high
     ranges = ", ".join(f"{c} {a:g} to {b:g}" for c, a, b in zip(table.codes, low, high, strict=True))

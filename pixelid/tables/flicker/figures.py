@@ -6,7 +6,18 @@ from typing import Any
 
 import numpy as np
 
-from pixelid.figures.style import INK, OFF, ON, finish_pair, new_axes, new_pairs, styled
+from pixelid.figures.style import (
+    CYCLIC,
+    INK,
+    OFF,
+    ON,
+    SEQUENTIAL,
+    finish_pair,
+    legend_above,
+    new_axes,
+    new_pairs,
+    styled,
+)
 from pixelid.tables.flicker.fit import FlickerFit
 from pixelid.tables.flicker.phases import BINS
 
@@ -47,8 +58,7 @@ def draw_phases(fit: FlickerFit, axes: Any = None) -> Any:
     for top, bottom in zip(axes[::2, 0], axes[1::2, 0], strict=True):
         top.set_ylabel("events per bin")
         bottom.set_ylabel("difference (σ)")
-    handles = axes[0, 0].get_legend_handles_labels()
-    axes[0, 0].figure.legend(*handles, loc="outside upper right", ncols=4, fontsize=7)
+    legend_above(axes)
     return axes
 
 
@@ -57,16 +67,16 @@ def draw_maps(fit: FlickerFit, axes: Any = None) -> Any:
     """Amplitude over the ON threshold, and phase, group by group; returns the two axes."""
     if axes is None:
         axes = new_axes(1, 2, 4.4, 3.4)
-    for axis, name, label, colours in (
-        (axes.flat[0], "amplitude_over_on_threshold", "amplitude (ON thresholds)", "viridis"),
-        (axes.flat[1], "phase_cycles", "phase (cycles)", "twilight"),
+    for axis, name, label, colours, ends in (
+        (axes.flat[0], "amplitude_over_on_threshold", "amplitude (ON thresholds)", SEQUENTIAL, (0.0, None)),
+        (axes.flat[1], "phase_cycles", "phase (cycles)", CYCLIC, (0.0, 1.0)),
     ):
         values = np.full(fit.grid[::-1], np.nan)
         for g in fit.groups:
-            values[g.row, g.column] = g.fit.values[name]
-        axis.figure.colorbar(axis.imshow(values, cmap=colours), ax=axis, label=label)
+            values[g.row, g.column] = g.fit.values[name] % 1.0 if name == "phase_cycles" else g.fit.values[name]
+        axis.figure.colorbar(axis.imshow(values, cmap=colours, vmin=ends[0], vmax=ends[1]), ax=axis, label=label)
         axis.set(xlabel="group, across", ylabel="group, down")
         for side in (axis.xaxis, axis.yaxis):
-            side.get_major_locator().set_params(integer=True)
+            side.get_major_locator().set_params(integer=True, min_n_ticks=1)
         axis.grid(False)
     return axes

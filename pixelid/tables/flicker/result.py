@@ -21,7 +21,7 @@ MIN_MEMORY_GAIN_NATS = 10.0
 
 def save_flicker(fit: FlickerFit, folder: Path) -> dict:
     """Write flicker.json, phases.svg and maps.svg into an existing folder; returns the JSON."""
-    figures = {"phases": partial(draw_phases, fit), "maps": partial(draw_maps, fit)}
+    figures = {"phases": partial(draw_phases, fit)} | ({"maps": partial(draw_maps, fit)} if len(fit.groups) > 1 else {})
     return write_result(flicker_result(fit), "flicker.json", figures, folder)
 
 

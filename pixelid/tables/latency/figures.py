@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pixelid.figures.style import new_axes, series_colours, styled
+from pixelid.figures.style import legend_above, new_axes, series_colours, styled
 from pixelid.tables.latency.limits import STAGES
 
 
@@ -17,7 +17,7 @@ def draw_latency(rows: Sequence[Mapping[str, Any]], axes: Any = None) -> Any:
     """Medians over irradiance, one panel per camera and edge, one colour per setting; spoiled rows as crosses."""
     panels = sorted({(str(row.get("camera", "-")), -row["polarity"]) for row in rows})
     if axes is None:
-        axes = new_axes(math.ceil(len(panels) / 2), 2, 8.0, 2.6, sharex=True).ravel()
+        axes = new_axes(math.ceil(len(panels) / 2), 2, 4.3, 3.4, sharex=True).ravel()
     settings = list(dict.fromkeys(str(row.get("bias_config", "-")) for row in rows))
     colours = dict(zip(settings, series_colours(len(settings)), strict=True))
     for axis, (camera, edge) in zip(axes, panels, strict=False):
@@ -38,7 +38,9 @@ def draw_latency(rows: Sequence[Mapping[str, Any]], axes: Any = None) -> Any:
         axis.set_title(f"{camera}, light {'on' if edge == -1 else 'off'}")
         axis.set_ylabel("median latency (µs)")
         axis.set_xlabel("irradiance (W/m²)")
-    axes[0].legend(title="setting", fontsize="x-small")
+    for axis in axes[len(panels) :]:
+        axis.set_axis_off()
+    legend_above(axes, 6, "setting")
     return axes
 
 
@@ -47,14 +49,16 @@ def draw_limits(limits: Sequence[Mapping[str, Any]], axes: Any = None) -> Any:
     """How much of the median latency goes with each stage, over irradiance."""
     panels = list(dict.fromkeys((entry["camera"], entry["edge"]) for entry in limits))
     if axes is None:
-        axes = new_axes(math.ceil(len(panels) / 2), 2, 8.0, 2.4, sharex=True).ravel()
+        axes = new_axes(math.ceil(len(panels) / 2), 2, 4.3, 2.8, sharex=True).ravel()
     for axis, panel in zip(axes, panels, strict=False):
         here = [entry for entry in limits if (entry["camera"], entry["edge"]) == panel]
         for stage, colour in zip(STAGES, series_colours(len(STAGES)), strict=True):
             x, y = [e["irradiance_W_m2"] for e in here], [100 * e["shares"][stage] for e in here]
-            axis.semilogx(x, y, "o-", markersize=3, color=colour, label=stage)
+            axis.semilogx(x, y, "o-", markersize=3, color=colour, label=stage.replace("_", " "))
         axis.set_title(f"{panel[0]}, light {panel[1]}")
         axis.set_xlabel("irradiance (W/m²)")
         axis.set_ylabel("share of latency (%)")
-    axes[0].legend(fontsize="x-small")
+    for axis in axes[len(panels) :]:
+        axis.set_axis_off()
+    legend_above(axes, 4)
     return axes

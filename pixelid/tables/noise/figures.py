@@ -7,8 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from pixelid.figures.style import INK, MUTED, OFF, ON, new_axes, styled
+from pixelid.figures.style import INK, MUTED, OFF, ON, legend_above, new_axes, styled
 from pixelid.tables.noise.model import NoiseModel
+
+ASIDE = 1.04  # by which OFF stands right of ON, which it would hide
+REACH = 2.0  # of ratios; what is further out is an arrow
 
 
 @styled
@@ -32,12 +35,15 @@ def draw_noise(model: NoiseModel, rows: Sequence[dict[str, Any]], axes: Any = No
             top.loglog(table.light[here], least, marker, color=colour, ms=4, label=label)
             top.loglog(table.light[here], predicted[here], color=colour)
             shown = here[measured[here] > 0]
-            bottom.semilogx(table.light[shown], measured[shown] / predicted[shown], marker, color=colour, ms=4)
+            ratio, light = measured[shown] / predicted[shown], table.light[shown] * (1.0 if on else ASIDE)
+            far = ratio > REACH
+            bottom.semilogx(light[~far], ratio[~far], marker, color=colour, ms=4)
+            bottom.semilogx(light[far], np.full(far.sum(), REACH - 0.08), "^", color=colour, ms=6)
     bottom.axhspan(0.85, 1.15, color=MUTED, alpha=0.15, linewidth=0)
     bottom.axhline(1.0, color=INK, linewidth=0.6)
     top.set_ylabel("events per pixel and second")
-    top.legend()
-    bottom.set(xlabel=f"light ({table.unit})", ylabel="measured / predicted", ylim=(0.0, 2.0))
+    legend_above(axes)
+    bottom.set(xlabel=f"light ({table.unit})", ylabel="measured / predicted", ylim=(0.0, REACH))
     return axes
 
 
@@ -55,6 +61,6 @@ def draw_intervals(entries: Sequence[dict[str, Any]], unit: str, axes: Any = Non
             if histogram["predicted"] is not None:
                 ax.stairs(histogram["predicted"], histogram["edges_s"], color=INK, linewidth=1.2, label="predicted")
         ax.set(xscale="log", ylabel="share", title=f"{entry['radiance']:.3g} {unit}, {entry['count']} intervals")
-    axes[0].legend()
+    legend_above(axes)
     axes[-1].set_xlabel("interval between events of a pixel (s)")
     return axes

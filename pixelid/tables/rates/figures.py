@@ -6,10 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from pixelid.figures.style import INK, MUTED, new_axes, series_colours, styled
+from pixelid.figures.style import INK, MUTED, legend_above, new_axes, series_colours, styled
 from pixelid.tables.fit import SUSPECT_SCALES
 from pixelid.tables.rates.pixel import PixelFit
 from pixelid.tables.rates.pool import PoolFit
+
+REACH = 12.0  # standard deviations; what is further out is an arrow with its value
 
 
 @styled
@@ -25,12 +27,18 @@ def draw_pixel(fit: PixelFit, axes: Any = None) -> Any:
         x = fit.table.frequency_hz[fit.row[here]]
         top.loglog(x, np.maximum(fit.observed[here], floor), "o", color=colour, label=name)
         top.loglog(frequency, np.maximum(fit.curve(k, frequency), floor), color=colour)
-        bottom.semilogx(x, np.clip(fit.regression.residual[here], -12, 12), "o", color=colour)
+        residual = fit.regression.residual[here]
+        far = np.abs(residual) > REACH
+        bottom.semilogx(x[~far], residual[~far], "o", color=colour)
+        for at, value in zip(x[far], residual[far], strict=True):
+            bottom.plot(at, np.sign(value) * REACH, "^" if value > 0 else "v", color=colour)
+            bottom.annotate(f" {value:+.0f}", (at, np.sign(value) * REACH), va="center", fontsize=8)
     top.set_ylabel("events per second")
-    top.legend(title="setting")
+    top.set_xlim(bottom.get_xlim())
+    legend_above(axes, 5, "setting")
     bottom.axhspan(-SUSPECT_SCALES, SUSPECT_SCALES, color=MUTED, alpha=0.15, linewidth=0)
     bottom.axhline(0.0, color=INK, linewidth=0.6)
-    bottom.set(xlabel="frequency of the light (Hz)", ylabel="residual (scales)", ylim=(-13, 13))
+    bottom.set(xlabel="frequency of the light (Hz)", ylabel="residual (σ)", ylim=(-REACH - 1, REACH + 1))
     return axes
 
 

@@ -16,7 +16,7 @@ from pixelid.fit.levels.pixel_levels import PixelLevels
 from pixelid.fit.measured_light import line_errors
 from pixelid.fit.prepare import Prepared
 from pixelid.fit.result import Estimate, estimates_of
-from pixelid.fit.search import Found
+from pixelid.fit.search import SearchResult
 from pixelid.fit.trace_errors import trace_errors
 from pixelid.fit.uncertainty.challenge import challenged
 from pixelid.fit.uncertainty.curvature import Identified, read_curvature
@@ -28,7 +28,7 @@ CLOCKS = "alignment."  # what names of the clocks' nuisances begin with
 
 
 @dataclass(frozen=True)
-class Known:
+class Assessment:
     """Of an optimum.
 
     Attributes:
@@ -50,7 +50,7 @@ class Known:
     details: dict[str, Any]
 
 
-def judged(ready: Prepared, found: Found, seed: int, report: Callable[[str, float], None]) -> Known:
+def assess(ready: Prepared, found: SearchResult, seed: int, report: Callable[[str, float], None]) -> Assessment:
     """What is known at an optimum.
 
     Args:
@@ -86,6 +86,8 @@ def judged(ready: Prepared, found: Found, seed: int, report: Callable[[str, floa
     reading = _wider(reading, np.array([found.added_sd.get(name, 0.0) for name in coordinates.names]))
     limits_95 = intervals(coordinates.names, optimum.x, reading.sd, found.pixels)
     bends = clocks_free or (reading.bends and not ready.sampled and not ready.pooled)
+    if isinstance(objective, EventTimesObjective) and objective.likelihood.shift is not None:
+        bends = False  # what shot noise adds is held as at the optimum: the likelihood is not known far from it
     # Levels are held along the ridge: fast poles and dead time, which make it, owe next to nothing to them.
     ridge = objective.held(optimum.x) if isinstance(objective, LevelledObjective) else objective
     along = profile_of_ridge(ridge, optimum.x, reading) if bends else None
@@ -102,10 +104,10 @@ def judged(ready: Prepared, found: Found, seed: int, report: Callable[[str, floa
     estimates, stopped = at_rest_only(estimates, status)
     details["precision"] = {p.name: precision(estimates[p.name], p, status) for p in coordinates.parameters}
     unidentified = (*stopped, *open_ones, *reading.sentences, *limits)
-    return Known(status, advice, estimates, reading.covariance, reading.sd, unidentified, levels, details)
+    return Assessment(status, advice, estimates, reading.covariance, reading.sd, unidentified, levels, details)
 
 
-def _curvature(found: Found, clocks_free: bool) -> tuple[np.ndarray, str]:
+def _curvature(found: SearchResult, clocks_free: bool) -> tuple[np.ndarray, str]:
     """((d, d) curvature at the optimum, what it is).
 
     A clock moves every event across samples of the light, where the density has corners, and is nearly exchangeable for
