@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -12,7 +13,7 @@ from pixelid.fit.bench import held, with_bench
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.own_values import with_own_values
 from pixelid.fit.pooled_rate import PooledRateObjective
-from pixelid.fit.pooled_search import BLUR, best_teeth, in_rounds, settled
+from pixelid.fit.pooled_search import BLUR, SETTLED, best_teeth, in_rounds, settled
 from pixelid.fit.search import SearchResult
 from pixelid.fit.starts import align, match_counts
 from pixelid.inspection.bursts import BurstCounter, Bursts
@@ -26,7 +27,8 @@ AFAR = 20.0  # times as long for the fluid limit, which costs little and on a sh
 FROM_AFAR = (BLUR, BLUR / 2)  # noise added to thresholds in the rounds of that search
 # Held in a blurred pool: it would take the place of what is not yet right.
 SCATTER = ("threshold_sigma", "threshold_mismatch.sigma")
-SCOUT_ROUNDS = 2  # of the same with all kinds of pixel
+MUCH = 2.0  # times as long as a part worth a search of its own
+ENOUGH = 1.0  # standard errors of that part: more than those of all
 DEAD_TIMES_S = (1e-5, 1e-4, 1e-3)
 FLUID = (
     "number of pooled pixels × thresholds: without threshold_noise counts are those of many small thresholds, and show "
@@ -42,7 +44,6 @@ class Search:
     of: Coordinates
     blurs: tuple[float, ...]
     tolerance: float
-    fine: bool = False
 
 
 def fit_pooled(
@@ -96,10 +97,6 @@ def fit_pooled(
         searches = [Search(PooledRate(recordings).fluid(), narrow, (1.0,), 0.1)]
     else:
         searches += [Search(scout, narrow, FROM_AFAR, 1.0), Search(scout, coordinates, (0.0, 0.0), 1.0)]
-        few_s = _scouted_s(recordings)
-        if any(r.stimulus is not None and r.stimulus.duration_s > few_s for r in recordings):
-            few = PooledRate(recordings, first_s=few_s)
-            searches += [Search(few, coordinates, (0.0,) * SCOUT_ROUNDS, 0.5, fine=True)]
     x, steps, searched = narrow.start, 0, narrow
     for k, search in enumerate(searches):
         x, searched = (x if search.of is searched else _wider(searched, x, search.of)), search.of
@@ -107,14 +104,18 @@ def fit_pooled(
         x = best_teeth(objective, x) if search.blurs is FROM_AFAR else x
         objective, optimum = in_rounds(
             objective, x, search.tolerance, search.blurs,
-            lambda part, k=k: report("fitting", 0.1 + 0.5 * (k + part) / len(searches)), search.fine,
+            lambda part, k=k: report("fitting", 0.1 + 0.5 * (k + part) / len(searches)),
         )  # fmt: skip
         x, steps = optimum.x, steps + optimum.steps
     information = optimum.local.information
     if not fluid:
-        objective = PooledRateObjective(PooledRate(recordings), coordinates)
-        objective, optimum, information = settled(objective, x, seed, lambda part: report("fitting", 0.6 + 0.3 * part))
-        steps += optimum.steps
+        for k, part_s in enumerate(_lengths_s(recordings)):
+            last = PooledRateObjective(PooledRate(recordings, first_s=part_s), coordinates)
+            objective, optimum, information = settled(
+                last, optimum.x, seed, lambda part, k=k: report("fitting", 0.6 + 0.15 * (k + part)),
+                SETTLED if part_s == math.inf else ENOUGH,
+            )  # fmt: skip
+            steps += optimum.steps
     dispersion = objective.likelihood.dispersion(objective.expected(optimum.x))
     caveats = [FLUID] if fluid else []
     if pixels is not None:
@@ -147,6 +148,13 @@ def _scouted_s(recordings: Sequence[Recording]) -> float:
     """Seconds of every recording that hold events enough for a search from afar."""
     rates = [len(r.events) / max(float(np.ptp(r.events.t)) * 1e-9, 1e-9) for r in recordings if len(r.events) > 1]
     return max(SCOUT_EVENTS / min(rates), LEAST_SCOUT_S) if rates else LEAST_SCOUT_S
+
+
+def _lengths_s(recordings: Sequence[Recording]) -> list[float]:
+    """Seconds of every recording that the last searches look at: a part where that is less than all, then all."""
+    few_s = _scouted_s(recordings)
+    longer = any(r.stimulus is not None and r.stimulus.duration_s > MUCH * few_s for r in recordings)
+    return [few_s, math.inf] if longer else [math.inf]
 
 
 def _bursts(recording: Recording) -> Bursts:

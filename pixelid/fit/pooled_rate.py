@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from copy import copy
+
 import numpy as np
 
 from pixelid.fit.coordinates import Coordinates
@@ -14,29 +16,37 @@ from pixelid.stages.circuit import Circuit
 from pixelid.stimuli.stimulus import Stimulus
 
 STEP = 1e-3  # of a difference in fitting coordinates: counts are smooth over it, and their rounding drowns in it
+# Of the standard error that the curvature promises with all else known: bursts narrower than a bin make it ten times
+# smaller than STEP, and counts bend over more of it.
+FINE_STEP = 0.3
 DELAY_STEP_S = 1e-6
 REPLICATE_EVENTS = 1_000_000  # simulated for the scatter of the score
 LEAST_PIXELS, MOST_PIXELS = 64, 512  # errors to 1/√(2n): 9 % and 3 %
 
 
 class PooledRateObjective(Objective):
-    """Quasi log posterior; information Σ ∂λ ∂λᵀ / v.  Gradient by differences of the expected counts."""
+    """Quasi log posterior; information Σ ∂λ ∂λᵀ / v.  Gradient by differences of the expected counts.
+
+    Those of rough steps bring a search near its optimum; only `fine` ones take it there.
+    """
 
     def __init__(self, likelihood: PooledRate, coordinates: Coordinates) -> None:
         self.likelihood = likelihood
         self.coordinates = coordinates
-        self._central = False  # differences from both sides
-        self._taken: tuple[np.ndarray, np.ndarray] | None = None  # where derivatives were taken last, and these
+        self._fine = False
+        self._known: tuple[np.ndarray, np.ndarray] | None = None  # where derivatives were computed last, and these
 
     def near(self, x: np.ndarray, scatter: bool = True, blur: float = 0.0) -> PooledRateObjective:
         """The same with the steps of the model at x, its variances of counts or Poisson's, and thresholds blurred."""
-        likelihood = self.likelihood.near(self.coordinates.circuit(x), self.coordinates.values(x), scatter, blur)
-        return PooledRateObjective(likelihood, self.coordinates)
+        near = copy(self)
+        near.likelihood = self.likelihood.near(self.coordinates.circuit(x), self.coordinates.values(x), scatter, blur)
+        near._known = self._known if self._fine and blur == 0 else None  # counts' derivatives do not know variances
+        return near
 
     def fine(self) -> PooledRateObjective:
         """The same with derivatives of its own steps and kinds of pixel, which vanish where the value peaks."""
-        fine = PooledRateObjective(self.likelihood.without_rough(), self.coordinates)
-        fine._central = True
+        fine = PooledRateObjective(self.likelihood, self.coordinates)
+        fine._fine = True
         return fine
 
     def expected(self, x: np.ndarray) -> np.ndarray:
@@ -58,18 +68,42 @@ class PooledRateObjective(Objective):
             (J * (weight / mean)[:, None]).T @ J + np.diag(curvature),
         )
 
+    def score(self, x: np.ndarray, at: np.ndarray) -> np.ndarray:
+        """(d,) Σ J (n − λ)/v at x with J and v of the point `at`, and the prior's gradient at x."""
+        at_it, kept = self.expected(at), self.likelihood.kept
+        weight = kept / (self.likelihood.ratio * at_it)
+        off = weight * (self.likelihood.observed - self.expected(x))
+        return self.jacobian(at, at_it).T @ off + self.coordinates.prior_gradient_and_curvature(x)[0]
+
     def jacobian(self, x: np.ndarray, at_x: np.ndarray) -> np.ndarray:
         """(bins, d) derivatives of the expected counts, which are `at_x` at x, by differences.
 
         Taken roughly where there is a rough likelihood: Σ J (n − λ)/v is 0 at the true λ whatever J is, so errors of J
         cost precision by their square and bias nothing.
         """
-        if self._taken is not None and np.array_equal(self._taken[0], x):
-            return self._taken[1]
+        if self._known is not None and np.array_equal(self._known[0], x):
+            return self._known[1]
         rough = self.likelihood.rough
-        taken = self if rough is None else PooledRateObjective(rough, self.coordinates)
-        begin = at_x if rough is None else taken.expected(x)
-        values, (lower, upper) = self.coordinates.values(x), self.coordinates.bounds()
+        if rough is None:
+            columns = self._differences(x, at_x, at_x, self, np.full(len(x), STEP))
+        else:
+            simple = PooledRateObjective(rough, self.coordinates)
+            columns = self._differences(x, at_x, simple.expected(x), simple, np.full(len(x), STEP))
+        if self._fine:
+            norm = np.sqrt(np.sum(columns**2 / (self.likelihood.ratio * at_x)[:, None], axis=0))
+            steps = np.minimum(FINE_STEP / np.maximum(norm, 1e-300), STEP)
+            columns = self._differences(x, at_x, at_x, self, steps)
+        self._known = x.copy(), columns
+        return columns
+
+    def _differences(
+        self, x: np.ndarray, at_x: np.ndarray, begin: np.ndarray, of: PooledRateObjective, steps: np.ndarray
+    ) -> np.ndarray:
+        """(bins, d) differences over `steps` (d,) of the expected counts of another objective, which are `begin` at x.
+
+        What is linear is taken from `at_x`, the expected counts of this one.
+        """
+        values, (_, upper) = self.coordinates.values(x), self.coordinates.bounds()
         linear = self.likelihood.linear_parts(at_x, values)
         queued = values.get("readout_latency.service_s", 0.0) > 0
         columns = []
@@ -77,18 +111,13 @@ class PooledRateObjective(Objective):
             if parameter.name in linear and parameter.transform == "log" and not queued:
                 columns.append(linear[parameter.name])
                 continue
-            step = DELAY_STEP_S if parameter.transform == "linear" and parameter.unit == "s" else STEP
-            step = -step if x[i] + step > upper[i] else step
-            # Where few counts are left to chance a step is many standard errors, over which counts bend: a delay
-            # has even the wrong sign from one side.
-            both = self._central and lower[i] <= x[i] - step <= upper[i]
-            moved, back = x.copy(), x.copy()
-            moved[i] += step
-            back[i] -= step
-            other = taken.expected(back) if both else begin
-            columns.append((taken.expected(moved) - other) / (step * (1 + both)))
-        self._taken = x.copy(), np.stack(columns, axis=1)
-        return self._taken[1]
+            step = (
+                min(DELAY_STEP_S, steps[i]) if parameter.transform == "linear" and parameter.unit == "s" else steps[i]
+            )
+            moved = x.copy()
+            moved[i] += -step if x[i] + step > upper[i] else step
+            columns.append((of.expected(moved) - begin) / (moved[i] - x[i]))
+        return np.stack(columns, axis=1)
 
     def information(self, x: np.ndarray, local: Local, seed: int) -> np.ndarray:
         """(d, d) inverse of the covariance of estimates: A B⁻¹ A of the score's curvature A and its variance B.

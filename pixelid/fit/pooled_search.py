@@ -7,17 +7,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from pixelid.fit.newton import Optimum, maximise
+from pixelid.fit.newton import Optimum, best_move, maximise
 from pixelid.fit.pooled_rate import PooledRateObjective
 
 BLUR = 0.1  # noise added to thresholds where the search of a blurred pool starts
-SCALES = (0.6, 0.75, 0.9, 1.1, 1.3)  # of thresholds, there
+# Times both thresholds: optima lie where a ramp makes one event more or less, of 3 to 10.
+SCALES = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.25, 1.4, 1.6, 1.8)
+FIRST_STEPS, BEST, BEST_STEPS = 10, 3, 40  # of each; so many of the best go on for longer
 MAX_STEPS = 20  # of a round
 # Standard errors that one more step would move: an estimate off by so many still has an interval of 94 % instead of
 # 95 %, since Φ(1.96 − 0.3) − Φ(−1.96 − 0.3) = 0.94.
 SETTLED = 0.3
-FINE_NATS = 0.5 * SETTLED**2  # the same by the curvature
-FINE_STEPS, FINE_ROUNDS = 6, 3  # of the last search: variances settle in two rounds
+ROUNDS, CHORDS = 8, 6  # of the last search, and steps with the derivatives of one round
+NEAR = 1.0  # standard errors that a round may move estimates for its derivatives to be those of the optimum
 
 
 def best_teeth(objective: PooledRateObjective, x: np.ndarray) -> np.ndarray:
@@ -31,9 +33,14 @@ def best_teeth(objective: PooledRateObjective, x: np.ndarray) -> np.ndarray:
     for scale in SCALES if which else (1.0,):
         begin = x.copy()
         begin[which] += np.log(scale)
-        part = objective.near(begin, scatter=False, blur=BLUR)
-        ends.append(maximise(part, begin, tolerance=10.0, max_steps=8))
-    return max(ends, key=lambda end: end.local.value).x
+        ends.append(_blurred(objective, begin, FIRST_STEPS))
+    ends = sorted(ends, key=lambda end: -end.local.value)[:BEST]
+    return max((_blurred(objective, end.x, BEST_STEPS) for end in ends), key=lambda end: end.local.value).x
+
+
+def _blurred(objective: PooledRateObjective, x: np.ndarray, steps: int) -> Optimum:
+    part = objective.near(x, scatter=False, blur=BLUR)
+    return maximise(part, x, tolerance=1.0, max_steps=steps)
 
 
 def in_rounds(
@@ -42,16 +49,11 @@ def in_rounds(
     tolerance: float,
     blurs: Sequence[float],
     report: Callable[[float], None],
-    fine: bool = False,
 ) -> tuple[PooledRateObjective, Optimum]:
-    """(the objective near its optimum, the optimum): variances of counts and blur follow the search, round by round.
-
-    fine: whether derivatives are the likelihood's own.
-    """
+    """(the objective near its optimum, the optimum): variances of counts and blur follow the search, round by round."""
     steps = 0
     for turn, blur in enumerate(blurs):
         objective = objective.near(x, scatter=blur == 0, blur=blur)
-        objective = objective.fine() if fine else objective
         noisy = max(objective.likelihood.dispersion(objective.expected(x)), 1.0)
         optimum = maximise(
             objective, x, tolerance=tolerance * noisy, max_steps=MAX_STEPS,
@@ -64,39 +66,47 @@ def in_rounds(
 
 
 def settled(
-    objective: PooledRateObjective, x: np.ndarray, seed: int, report: Callable[[float], None]
+    objective: PooledRateObjective, x: np.ndarray, seed: int, report: Callable[[float], None], within: float = SETTLED
 ) -> tuple[PooledRateObjective, Optimum, np.ndarray]:
-    """The last search, which ends where one more step would move estimates by a part of their standard errors.
+    """The last search: where the score Σ J (n − λ)/v is 0, to within a part of the estimates' standard errors.
 
-    Rough derivatives bring a search near the optimum, but do not vanish where the value peaks; those of the likelihood
-    itself do.  Counts of neighbouring bins are not independent, so the curvature promises more than the errors by the
-    scatter of the score: how far is far is judged by the latter.
+    J and v are those of the model at which a round begins.  The score's expectation is 0 at the true λ whatever they
+    are (McCullagh & Nelder 1989, section 9.5), so a round solves it with one J, which costs a dozen counts λ, and the
+    next begins where it ended.  Narrow bursts make the likelihood a curved ridge, on which the value promises little;
+    the score is solved along it.  Counts of neighbouring bins are not independent, so how far is far is judged by the
+    scatter of the score, not by the curvature.
 
     Args:
         objective, x: Where the search with rough derivatives has ended.
         seed: Of the simulated scores.
         report: Called with the share done.
+        within: Standard errors that one more step may move.
 
     Returns:
         The objective near its optimum, the optimum, and (d, d) the inverse of the estimates' covariance.
     """
-    steps = 0
-    for turn in range(FINE_ROUNDS):
-        objective = objective.near(x).fine()
+    objective, coordinates, steps = objective.fine(), objective.coordinates, 0
+    while True:
+        objective = objective.near(x)
+        local = objective.local(x)
         noisy = max(objective.likelihood.dispersion(objective.expected(x)), 1.0)
-        optimum = maximise(
-            objective, x, tolerance=FINE_NATS * noisy, max_steps=FINE_STEPS,
-            progress=lambda step, value, turn=turn: report((turn + step / FINE_STEPS) / FINE_ROUNDS),
-        )  # fmt: skip
-        before, x, steps = x, optimum.x, steps + optimum.steps
-        information = objective.information(x, optimum.local, seed)
-        free = ~optimum.on_bound
-        left = np.zeros(len(x))
-        H = optimum.local.information[np.ix_(free, free)]
-        left[free] = np.linalg.lstsq(H, optimum.local.gradient[free], rcond=1e-14)[0]
-        longest = objective.coordinates.longest_moves()
-        left /= max(1.0, float(np.abs(left / longest).max(initial=0.0)))
-        moved, owed = ((move @ information @ move) / noisy for move in (x - before, left))
-        if max(moved, owed) < SETTLED**2:
-            break
-    return objective, replace(optimum, converged=bool(owed < SETTLED**2), steps=steps), information
+        information = objective.information(x, local, seed) / noisy
+        begin, (left, held) = x, best_move(coordinates, x, local, 0.0)
+        owed = left @ information @ left
+        for _ in range(CHORDS):
+            if owed < within**2:
+                break
+            trial = x + left
+            there = replace(local, gradient=objective.score(trial, begin))
+            after, held_after = best_move(coordinates, trial, there, 0.0)
+            if after @ information @ after < owed:
+                x, left, held, owed = trial, after, held_after, after @ information @ after
+            else:
+                left = 0.5 * left
+        steps += 1
+        report(steps / ROUNDS)
+        moved = (x - begin) @ information @ (x - begin)
+        converged = bool(owed < within**2 and moved < NEAR**2)
+        if converged or steps == ROUNDS:
+            local = replace(local, value=objective.value(x), gradient=objective.score(x, begin))
+            return objective, Optimum(x, local, converged, held, steps), information * noisy

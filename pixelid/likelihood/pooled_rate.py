@@ -222,6 +222,9 @@ class PooledRate:
         circuit = circuit.in_recording(self.recordings[i].name)
         pixels, warm_up = values["pooled.pixels"], self._warm_up(i)
         times = self.counts[i].edges[0] + self._width * (places(steps) - warm_up)
+        if self._blur > 0:  # so much noise hides from which pixel it comes
+            noise = math.hypot(circuit.noise, circuit.mismatch, self._blur)
+            circuit = replace(circuit, noise=noise, mismatch=0.0)
         kinds = kinds_of(circuit, self._kinds)
         shared = {
             light: signals(steps, *self._at(i, self._trajectory(i, circuit, values, light), times, circuit, values))
@@ -251,7 +254,7 @@ class PooledRate:
         width = self._width
         return Comparator(
             float(circuit.on_threshold * kind.on), float(circuit.off_threshold * kind.off),
-            math.hypot(circuit.noise, self._blur),
+            float(circuit.noise),
             float(circuit.polarity_memory), float(circuit.threshold_drift * width), float(circuit.refractory / width),
             float(max(circuit.silent - circuit.refractory, 0.0) / width), float(min(circuit.differencing * width, 1e9)),
         )  # fmt: skip
