@@ -50,7 +50,8 @@ def maximise(
     """
     x = np.clip(np.asarray(start, dtype=float), *objective.coordinates.bounds())
     here = objective.local(x)
-    damping, growth = 1e-3, 2.0
+    damping: float = 1e-3
+    growth = 2.0
     converged = False
     steps = 0
     held = np.zeros(len(x), dtype=bool)
@@ -74,7 +75,7 @@ def maximise(
         if np.isfinite(value) and gain > 1e-4 * predicted:
             x, here = trial, objective.local(trial)
             ratio = gain / predicted
-            damping *= max(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3)
+            damping *= float(max(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3))
             damping = max(damping, 1e-10)
             growth = 2.0
         else:

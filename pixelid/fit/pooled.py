@@ -16,9 +16,9 @@ from pixelid.fit.pooled_rate import PooledRateObjective
 from pixelid.fit.pooled_search import BLUR, SETTLED, best_teeth, in_rounds, settled
 from pixelid.fit.search import SearchResult
 from pixelid.fit.starts import align, match_counts
-from pixelid.inspection.bursts import BurstCounter, Bursts
 from pixelid.likelihood.pooled_rate import PooledRate
 from pixelid.model.model import Model
+from pixelid.recordings.bursts import BurstCounter, Bursts
 from pixelid.recordings.recording import Recording
 
 SCOUT_EVENTS, SCOUT_KINDS = 10_000, 6  # per recording, and kinds of pixel, that the search from afar looks at
@@ -130,7 +130,11 @@ def fit_pooled(
         "bin_s": float(np.diff(objective.likelihood.counts[0].edges[:2])[0]),
         "steps": steps,
     }
-    return SearchResult(objective, optimum, 1, details, caveats=caveats, dispersion=dispersion, information=information)
+    values = objective.coordinates.values(optimum.x)
+    return SearchResult(
+        objective, optimum, 1 if fluid else max(round(values["pooled.pixels"]), 1), details, caveats=caveats,
+        dispersion=dispersion, information=information,
+    )  # fmt: skip
 
 
 def _poles(model: Model) -> tuple[str, ...]:

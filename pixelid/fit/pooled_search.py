@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from pixelid.fit.newton import Optimum, best_move, maximise
+from pixelid.fit.objective import Local
 from pixelid.fit.pooled_rate import PooledRateObjective
 
 BLUR = 0.1  # noise added to thresholds where the search of a blurred pool starts
@@ -18,7 +19,10 @@ MAX_STEPS = 20  # of a round
 # Standard errors that one more step would move: an estimate off by so many still has an interval of 94 % instead of
 # 95 %, since Φ(1.96 − 0.3) − Φ(−1.96 − 0.3) = 0.94.
 SETTLED = 0.3
-ROUNDS, CHORDS = 8, 6  # of the last search, and steps with the derivatives of one round
+ROUNDS, CHORDS = 10, 6  # of the last search, and steps with the derivatives of one round
+FOLLOW = 2  # rounds whose forward pass and variances are new: where these change, so does the optimum, within its errors
+CLOSER = 0.7  # times as far from the end, at most, after a step with the same derivatives
+DAMPING, MILDER, TRIALS = 1e-3, 5.0, 6  # of steps where derivatives change too much: least, factor, how often
 NEAR = 1.0  # standard errors that a round may move estimates for its derivatives to be those of the optimum
 
 
@@ -85,9 +89,9 @@ def settled(
     Returns:
         The objective near its optimum, the optimum, and (d, d) the inverse of the estimates' covariance.
     """
-    objective, coordinates, steps = objective.fine(), objective.coordinates, 0
+    objective, coordinates, steps, damping = objective.fine(), objective.coordinates, 0, DAMPING
     while True:
-        objective = objective.near(x)
+        objective = objective.near(x) if steps < FOLLOW else objective
         local = objective.local(x)
         noisy = max(objective.likelihood.dispersion(objective.expected(x)), 1.0)
         information = objective.information(x, local, seed) / noisy
@@ -96,13 +100,11 @@ def settled(
         for _ in range(CHORDS):
             if owed < within**2:
                 break
-            trial = x + left
-            there = replace(local, gradient=objective.score(trial, begin))
-            after, held_after = best_move(coordinates, trial, there, 0.0)
-            if after @ information @ after < owed:
-                x, left, held, owed = trial, after, held_after, after @ information @ after
-            else:
-                left = 0.5 * left
+            there = replace(local, gradient=objective.score(x + left, begin))
+            after, held_after = best_move(coordinates, x + left, there, 0.0)
+            if after @ information @ after > CLOSER * owed:
+                break
+            x, left, held, owed = x + left, after, held_after, after @ information @ after
         steps += 1
         report(steps / ROUNDS)
         moved = (x - begin) @ information @ (x - begin)
@@ -110,3 +112,15 @@ def settled(
         if converged or steps == ROUNDS:
             local = replace(local, value=objective.value(x), gradient=objective.score(x, begin))
             return objective, Optimum(x, local, converged, held, steps), information * noisy
+        if owed >= within**2 and x is begin:  # too far for a straight line
+            x, damping = _uphill(objective, x, local, damping)
+
+
+def _uphill(objective: PooledRateObjective, x: np.ndarray, local: Local, damping: float) -> tuple[np.ndarray, float]:
+    """(where a damped step from x has a larger value, damping to go on with); x where none of `TRIALS` has."""
+    for _ in range(TRIALS):
+        move, _ = best_move(objective.coordinates, x, local, damping)
+        if objective.value(x + move) > local.value:
+            return x + move, max(damping / MILDER, DAMPING)
+        damping *= MILDER
+    return x, damping

@@ -10,13 +10,13 @@ import numpy as np
 
 from pixelid.biases import currents_of, has_jaer_biases, implied_by
 from pixelid.errors import InputError
-from pixelid.inspection.bursts import BurstCounter, Bursts
 from pixelid.inspection.ceiling import Ceiling, Paces
 from pixelid.inspection.counts import BusiestWindow, Counts, Survey, counts_of
 from pixelid.inspection.dead_time import DeadTime, find_dead_time
 from pixelid.inspection.hot_pixels import HotPixel, hot_of_counts
 from pixelid.inspection.lines import Line, Spectra
 from pixelid.inspection.tick import MIN_EVENTS, Tick, tick_of
+from pixelid.recordings.bursts import BurstCounter, Bursts
 from pixelid.recordings.doubts import doubts, polarity_doubt
 from pixelid.recordings.events import Events
 from pixelid.recordings.parts import LongRecording

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pixelid.inspection.bursts import find_bursts
 from pixelid.likelihood.pool import Comparator, divide, flow, places, queued, signals
 from pixelid.likelihood.pool_kinds import normal_points
+from pixelid.recordings.bursts import find_bursts
 from tests.oracles import whole_pixel as oracle
 
 BIN_S, DURATION_S, PIXELS = 50e-6, 0.03, 1500
