@@ -20,7 +20,9 @@ MAX_STEPS = 20  # of a round
 # 95 %, since Φ(1.96 − 0.3) − Φ(−1.96 − 0.3) = 0.94.
 SETTLED = 0.3
 ROUNDS, CHORDS = 10, 6  # of the last search, and steps with the derivatives of one round
-FOLLOW = 2  # rounds whose forward pass and variances are new: where these change, so does the optimum, within its errors
+FOLLOW = (
+    2  # rounds whose forward pass and variances are new: where these change, so does the optimum, within its errors
+)
 CLOSER = 0.7  # times as far from the end, at most, after a step with the same derivatives
 DAMPING, MILDER, TRIALS = 1e-3, 5.0, 6  # of steps where derivatives change too much: least, factor, how often
 NEAR = 1.0  # standard errors that a round may move estimates for its derivatives to be those of the optimum
@@ -78,7 +80,7 @@ def settled(
     are (McCullagh & Nelder 1989, section 9.5), so a round solves it with one J, which costs a dozen counts λ, and the
     next begins where it ended.  Narrow bursts make the likelihood a curved ridge, on which the value promises little;
     the score is solved along it.  Counts of neighbouring bins are not independent, so how far is far is judged by the
-    scatter of the score, not by the curvature.
+    scatter of the score, not by the curvature.  Simulated pixels also show the score's mean, which is corrected for.
 
     Args:
         objective, x: Where the search with rough derivatives has ended.
@@ -94,7 +96,8 @@ def settled(
         objective = objective.near(x) if steps < FOLLOW else objective
         local = objective.local(x)
         noisy = max(objective.likelihood.dispersion(objective.expected(x)), 1.0)
-        information = objective.information(x, local, seed) / noisy
+        information, mean = objective.scatter(x, local, seed)
+        information /= noisy
         begin, (left, held) = x, best_move(coordinates, x, local, 0.0)
         owed = left @ information @ left
         for _ in range(CHORDS):
@@ -110,6 +113,7 @@ def settled(
         moved = (x - begin) @ information @ (x - begin)
         converged = bool(owed < within**2 and moved < NEAR**2)
         if converged or steps == ROUNDS:
+            x = x + _correction(objective, x, local, mean) if converged else x
             local = replace(local, value=objective.value(x), gradient=objective.score(x, begin))
             return objective, Optimum(x, local, converged, held, steps), information * noisy
         if owed >= within**2 and x is begin:  # too far for a straight line
@@ -124,3 +128,15 @@ def _uphill(objective: PooledRateObjective, x: np.ndarray, local: Local, damping
             return x + move, max(damping / MILDER, DAMPING)
         damping *= MILDER
     return x, damping
+
+
+def _correction(objective: PooledRateObjective, x: np.ndarray, local: Local, mean: np.ndarray) -> np.ndarray:
+    """(d,) the move that takes the score's mean (d,) from estimates; none of backgrounds, which quiet bins identify."""
+    which = np.array([not name.startswith("pooled.background") for name in objective.coordinates.names])
+    inner = np.ix_(which, which)
+    lower, upper = objective.coordinates.bounds()
+    longest = objective.coordinates.longest_moves()[which]
+    part = np.linalg.lstsq(local.information[inner], -mean[which], rcond=1e-14)[0]
+    move = np.zeros(len(x))
+    move[which] = part / max(1.0, float(np.abs(part / longest).max(initial=0.0)))
+    return np.clip(x + move, lower, upper) - x
