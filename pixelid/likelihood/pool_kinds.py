@@ -3,11 +3,13 @@
 A lattice of points, evenly spread in every direction (the generalised golden ratio; Roberts 2018,
 extremelearning.com.au, "The unreasonable effectiveness of quasirandom sequences"), through the inverse normal
 distribution, made uncorrelated, of mean 0 and variance 1.  Expected counts are smooth in a threshold over the noise
-that events have, so few kinds suffice.
+that events have, so few kinds suffice.  The fluid limit is smooth in
+the light: Gauss–Hermite quadrature.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -36,14 +38,22 @@ def kinds_of(circuit: Circuit, count: int) -> list[Kind]:
     if differing == 0:
         return [Kind(1.0, 1.0, 1.0, 1.0)]
     points = normal_points(count, differing)
-    ones = np.ones(count)
-    on, off = (1.0 + mismatch * points[:, 0], 1.0 + mismatch * points[:, 1]) if mismatch > 0 else (ones, ones)
-    light = np.exp(spread * points[:, -1]) if spread > 0 else ones
+    on, off = (1.0 + mismatch * points[:, 0], 1.0 + mismatch * points[:, 1]) if mismatch > 0 else np.ones((2, count))
+    light = np.exp(spread * points[:, -1]) if spread > 0 else np.ones(count)
     least = 0.05  # of a threshold: a pixel without one is no pixel
     return [
         Kind(max(float(a), least), max(float(b), least), float(c), 1.0 / count)
         for a, b, c in zip(on, off, light, strict=True)
     ]
+
+
+def lights_of(circuit: Circuit) -> list[tuple[float, float]]:
+    """(times as bright, share) of the pixels of a pool whose counts are smooth in the light."""
+    if circuit.light_spread == 0:
+        return [(1.0, 1.0)]
+    nodes, weights = np.polynomial.hermite_e.hermegauss(KINDS)
+    shares = weights / weights.sum()
+    return [(float(math.exp(circuit.light_spread * z)), float(w)) for z, w in zip(nodes, shares, strict=True)]
 
 
 @lru_cache(maxsize=8)

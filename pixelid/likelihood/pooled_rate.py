@@ -32,7 +32,7 @@ from pixelid.dynamics.trajectory import Trajectory, integrate
 from pixelid.errors import InputError
 from pixelid.likelihood.clocks import clock_in
 from pixelid.likelihood.pool import Comparator, divide, flow, places, queued, signals
-from pixelid.likelihood.pool_kinds import KINDS, Kind, kinds_of
+from pixelid.likelihood.pool_kinds import KINDS, Kind, kinds_of, lights_of
 from pixelid.parallel import map_threads
 from pixelid.parameters.parameter import Parameter
 from pixelid.recordings.kept import kept_of
@@ -244,10 +244,12 @@ class PooledRate:
 
     def _fluid_moments(self, i: int, circuit: Circuit, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
         """As `_moments`: changes in thresholds, thinned by the dead time of those in the same bin."""
-        change = np.diff(self.output(i, circuit, values))
-        on, off = np.maximum(change, 0.0) / circuit.on_threshold, np.maximum(-change, 0.0) / circuit.off_threshold
-        thinned = values["pooled.pixels"] / (1.0 + circuit.refractory * (on + off) / self._width)
-        mean = np.stack([thinned * on, thinned * off]) + self.background(i, values).reshape(2, -1)
+        mean = self.background(i, values).reshape(2, -1).copy()
+        for light, share in lights_of(circuit):
+            change = np.diff(self.output(i, circuit, values, light))
+            on, off = np.maximum(change, 0.0) / circuit.on_threshold, np.maximum(-change, 0.0) / circuit.off_threshold
+            thinned = share * values["pooled.pixels"] / (1.0 + circuit.refractory * (on + off) / self._width)
+            mean += np.stack([thinned * on, thinned * off])
         return mean, mean
 
     def _comparator(self, circuit: Circuit, kind: Kind) -> Comparator:

@@ -52,7 +52,7 @@ def test_expected_counts_are_the_mean_over_pixels(sigma, error):
 
     def counts(brighter, spread):
         seen = replace(light, radiance=brighter * light.radiance)
-        likelihood = PooledRate([recording.with_stimulus(seen)])
+        likelihood = PooledRate([recording.with_stimulus(seen)]).fluid()  # PLAIN has no threshold noise
         values = {**PLAIN.values, **{p.name: p.value for p in likelihood.nuisances()}}
         return likelihood.expected(circuit.with_(light_spread=spread), values)
 
