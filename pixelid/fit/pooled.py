@@ -77,8 +77,10 @@ def fit_pooled(
     afar = PooledRate(recordings, first_s=AFAR * _scouted_s(recordings)).fluid()
     start |= align(afar, model, start)
     fluid = "threshold_noise" not in model.effects
-    bursts = {b.pixels for b in map(_bursts, recordings) if b.pixels is not None}
-    pixels = fixed.get("pooled.pixels", float(bursts.pop()) if len(bursts) == 1 else None)
+    bursts = [b for b in map(_bursts, recordings) if b.pixels is not None]
+    sizes = {b.pixels for b in bursts}
+    pixels = fixed.get("pooled.pixels", float(sizes.pop()) if len(sizes) == 1 else None)
+    dead_times_s = sorted({b.spacing_s for b in bursts if b.spacing_s is not None})[:1]
     start |= {name: value for name, value in _counted(afar, model, start, pixels).items() if name not in fixed}
     if pixels is not None or fluid:
         nuisances["pooled.pixels"] = nuisances["pooled.pixels"].at(start["pooled.pixels"]).fixed()
@@ -101,7 +103,7 @@ def fit_pooled(
     for k, search in enumerate(searches):
         x, searched = (x if search.of is searched else _wider(searched, x, search.of)), search.of
         objective = PooledRateObjective(search.likelihood, searched)
-        x = best_teeth(objective, x) if search.blurs is FROM_AFAR else x
+        x = best_teeth(objective, x, dead_times_s) if search.blurs is FROM_AFAR else x
         objective, optimum = in_rounds(
             objective, x, search.tolerance, search.blurs,
             lambda part, k=k: report("fitting", 0.1 + 0.5 * (k + part) / len(searches)),
