@@ -19,13 +19,16 @@ from pixelid.bench.result import Calibration
 from pixelid.bench.stages import Stages
 from pixelid.bench.statements import Statement, of_fit
 from pixelid.errors import InputError
-from pixelid.fit.data import as_fitted, event_times_of
+from pixelid.fit.data import as_fitted
+from pixelid.fit.engines import engine as engine_named
 from pixelid.fit.event_times import EventTimesObjective
 from pixelid.fit.field import field_of
 from pixelid.fit.fit import STARTS, fit
 from pixelid.fit.judge import LARGEST_BACKGROUND_FRACTION, residual_tests, significant
 from pixelid.fit.light_unit import unit_sentence
+from pixelid.fit.prepare import prepare
 from pixelid.fit.result import FitResult, Stopwatch
+from pixelid.fit.search import Settings, search_event_times
 from pixelid.gap.gap import gap
 from pixelid.gap.result import GapReport
 from pixelid.likelihood.event_times import EventTimes
@@ -45,6 +48,7 @@ MODEL = "dvs128"  # where a fit starts when nothing else is stated; the unit of 
 CHECKED, EVENED, SEARCHED, REFITTED = 0.05, 0.15, 0.75, 0.98
 FIELD = "field.json"  # of the stage that keeps the gains of pixels
 ROUGH_EVENTS = 10_000  # of the pixels that a first fit looks at: every parameter to a few percent
+BETWEEN = "linear"  # how light runs between its samples there
 
 
 def calibrate(
@@ -150,9 +154,12 @@ def with_even_field(recordings: Sequence[Recording], base: Model, seed: int, rep
     """
     if not all(r.stimulus is not None and r.stimulus.full_field for r in recordings):
         return list(recordings)
-    some = few(recordings, ROUGH_EVENTS, np.random.default_rng(seed))
-    rough = fit(some, base, starts=0, seed=seed, progress=report)
-    field = field_of(event_times_of(rough, recordings), rough.x)
+    rng, settings = np.random.default_rng(seed), Settings(engine_named("casadi"), between=BETWEEN, seed=seed)
+    ready = prepare(few(recordings, ROUGH_EVENTS, rng), base, None, None, settings.form, False)
+    rough = search_event_times(ready.recordings, ready.model, None, settings, rng, report)
+    fine = [with_fine_light(recording, BETWEEN) for recording in as_fitted(recordings)]
+    objective = EventTimesObjective(EventTimes(fine), rough.objective.coordinates)
+    field = field_of(objective, rough.optimum.x)
     return list(recordings) if field is None else field.on(recordings)
 
 

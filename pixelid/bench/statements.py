@@ -15,6 +15,7 @@ from pixelid.recordings.session_alignment import RecordingAlignment
 # are beyond 3, so of a dozen true statements one in two sessions would be reported by the prior alone; but a statement
 # is reported only where its interval, too, leaves out everything within 3 scales.
 CONTRADICTED = 3.0
+STATED_DELAYS = "trigger", "given"  # alignments that state where the light begins; of others it is estimated
 
 
 @dataclass(frozen=True)
@@ -64,6 +65,8 @@ def of_fit(result: FitResult) -> list[Statement]:
         if low is None or high is None or not contradicts(parameter, low, high):
             continue
         recording = name[name.index("[") + 1 : -1] if "[" in name else None
+        if kind is _delay and result.alignment.get(recording or "", {}).get("method") not in STATED_DELAYS:
+            continue
         stated = parameter.from_coordinate(parameter.prior.mean)
         statement, sentence = kind(recording or "", estimate.value, (low, high), stated, result.model.radiance_unit)
         statements.append(Statement(statement, recording, stated, estimate.value, (low, high), sentence))

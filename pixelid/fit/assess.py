@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -113,15 +114,16 @@ def _curvature(found: SearchResult, clocks_free: bool) -> tuple[np.ndarray, str]
     A clock moves every event across samples of the light, where the density has corners, and is nearly exchangeable for
     the fastest poles: along that ridge differences of the gradient are noise, and the information matrix is not.
     """
-    optimum = found.optimum
+    optimum, names = found.optimum, found.objective.coordinates.names
     if found.information is not None:
         # counts that scatter less than the model's do not make it better known
         wide = max(found.dispersion, 1.0)
         return found.information / wide, "information matrix and the scatter of the score over pixels"
-    information = optimum.local.information / found.dispersion
+    counted = (lambda curvature: curvature) if found.bench is None else partial(found.bench.counted, names)
+    information = counted(optimum.local.information / found.dispersion)
     if clocks_free:
         return information, "information matrix (the clocks' delays are free)"
-    hessian = -found.objective.hessian(optimum.x, optimum.local) / found.dispersion
+    hessian = counted(-found.objective.hessian(optimum.x, optimum.local) / found.dispersion)
     if _positive(hessian):
         return hessian, "Hessian"
     return information, "information matrix (the Hessian is not positive definite)"

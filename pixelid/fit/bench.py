@@ -27,6 +27,7 @@ from pixelid.recordings.recording import Recording
 from pixelid.stimuli.pixel_lights import lights_in
 
 DF = 4.0  # degrees of freedom of the priors: heavy tails, and still a variance
+FAR = 2.5  # times half the 95 % interval of a recording's alignment, five standard deviations: how far its delay may go
 MOST_OFFSET = 0.5  # of the dimmest light: what is left of it stays positive
 MEASURED = 0.5  # of what crystals keep: a rate with a smaller error was measured
 REWEIGHTINGS = 50  # more than enough for a fixed point of a few dozen rates
@@ -53,7 +54,9 @@ def of_recording(recording: Recording, delays: bool = True) -> list[Parameter]:
     if clock is not None and delays:
         known = clock.prior.delay_sd_s
         prior = None if known is None else Prior(0.0, known, DF)
-        parameters.append(replace(CLOCK_DELAY, name=f"{CLOCK_DELAY.name}[{name}]", prior=prior))
+        most = max(CLOCK_DELAY.upper, FAR * clock.half_s)
+        delay = replace(CLOCK_DELAY, name=f"{CLOCK_DELAY.name}[{name}]", lower=-most, upper=most, prior=prior)
+        parameters.append(delay)
     if bench.level_sd > 0:
         parameters.append(replace(LIGHT_GAIN, name=f"{LIGHT_GAIN.name}[{name}]", prior=Prior(0.0, bench.level_sd, DF)))
     if bench.offset_sd > 0:

@@ -17,7 +17,7 @@ from pixelid.fit.event_times import EventTimesObjective
 from pixelid.recordings.bench import gains_of_pixels, with_pixel_gains
 from pixelid.recordings.recording import Recording
 
-STEP, FARTHEST = 0.01, 0.2  # of ln light: gains that are tried; a pixel's log-likelihood is a parabola about its best
+STEP, FARTHEST = 0.02, 0.2  # of ln light: gains that are tried; a pixel's log-likelihood is a parabola about its best
 SCALES = np.concatenate([[0.0], np.geomspace(1e-3, 0.5, 200)])  # of s, in which the best is looked for
 # Nats that unevenness must be worth.  Twice that is 9.5, which a χ² with half a degree of freedom exceeds in one of
 # 1000 even fields; a fit that describes its data badly makes pixels differ more, and its field is estimated again.

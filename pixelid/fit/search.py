@@ -21,7 +21,7 @@ from pixelid.fit.light_unit import in_recorded_unit
 from pixelid.fit.newton import Optimum
 from pixelid.fit.newton import maximise as newton_steps
 from pixelid.fit.refine import BETWEEN, refine
-from pixelid.fit.shot_noise import EFFECT, fit_under_shot_noise, without_density
+from pixelid.fit.shot_noise import EFFECT, HeldBench, fit_under_shot_noise, without_density
 from pixelid.fit.starts import feasible, narrower, random_starts
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
@@ -62,6 +62,7 @@ class SearchResult:
         levels: Of pixels, where they were fitted.
         dispersion: Variance of counts over what the model expects; 1 of event times.
         information: (d, d) inverse of the estimates' covariance, where it is not the curvature's (pooled counts).
+        bench: Nuisances that were held at what a fit without shot noise found.
     """
 
     objective: Any
@@ -74,6 +75,7 @@ class SearchResult:
     levels: Levelled | None = None
     dispersion: float = 1.0
     information: np.ndarray | None = None
+    bench: HeldBench | None = None
 
 
 def check_event_times(model: Model) -> None:
@@ -145,7 +147,7 @@ def search_event_times(
         under = fit_under_shot_noise(objective, optimum, whole, settings.seed)
         expected = under.expected
         found = replace(found, objective=under.objective, optimum=under.optimum, added_sd=under.added_sd,
-                        details={**details, EFFECT: under.details})  # fmt: skip
+                        bench=under.bench, details={**details, EFFECT: under.details})  # fmt: skip
     if settings.form == "continuous":
         report("continuous form", 0.9)
         found = _continuous(found, settings.engine)

@@ -8,11 +8,15 @@ corrected by it (indirect inference: Gouriéroux, Monfort & Renault 1993, J. App
 what structure the approximation leaves in the residuals of a true model.
 
 To the rest of a fit, what the filter says of the density is a normal likelihood of its logarithm: it enters as one.
+
+Levels, zeros and clocks of the bench are held where the fit without shot noise had them: with the noise's means held
+at an optimum, a level and a zero of slow light are nearly exchangeable.  Their errors there are counted.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -20,6 +24,7 @@ import numpy as np
 
 from pixelid.dynamics.linear import has_pole
 from pixelid.fit.again import can_be_simulated, simulate_again
+from pixelid.fit.bench import is_of_bench
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.event_times import LEVELS_TAKEN_AT, EventTimesObjective
 from pixelid.fit.judge import residual_tests
@@ -28,7 +33,7 @@ from pixelid.fit.newton import maximise as newton_steps
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.shot_noise import Division, share_out
 from pixelid.model.model import Model
-from pixelid.parameters.parameter import Prior
+from pixelid.parameters.parameter import Parameter, Prior
 
 EFFECT, DENSITY, NOISE = "shot_noise", "shot_noise.density", "threshold_sigma"
 LEAST_GAIN = 3.0  # nats that a density must be worth: one coordinate gains 0.5 by chance, in one of 70 cases as much
@@ -47,6 +52,7 @@ class UnderNoise:
 
     added_sd: coordinate → what putting it right adds to its error
     expected: covariate → share of the residuals' variance that simulated sessions show in the same test
+    bench: nuisances of the bench that were held, with what is known of them; None where there are none
     """
 
     objective: EventTimesObjective
@@ -54,6 +60,34 @@ class UnderNoise:
     details: dict[str, Any]
     added_sd: dict[str, float] = field(default_factory=dict)
     expected: dict[str, float] = field(default_factory=dict)
+    bench: HeldBench | None = None
+
+
+@dataclass(frozen=True)
+class HeldBench:
+    """Nuisances that a search held at what another fit found.
+
+    names: (k,) of coordinates
+    covariance: (k, k) of that fit
+    """
+
+    names: tuple[str, ...]
+    covariance: np.ndarray
+
+    def counted(self, names: Sequence[str], curvature: np.ndarray) -> np.ndarray:
+        """(d, d) curvature of all coordinates of names (d,), for one (d, d) at the optimum with these held.
+
+        With H the curvature, θ the others and η these, θ − θ̂ = −H_θθ⁻¹ H_θη (η − η̂) + N(0, H_θθ⁻¹), and η has its
+        covariance.  The precision of both together has for η that of the covariance, and H_ηθ H_θθ⁻¹ H_θη.
+        """
+        held = np.isin(names, self.names)
+        order = [self.names.index(name) for name in np.asarray(names)[held]]
+        own = np.linalg.pinv(self.covariance[np.ix_(order, order)], hermitian=True)
+        cross = curvature[np.ix_(~held, held)]
+        both = curvature.copy()
+        through = cross.T @ np.linalg.lstsq(curvature[np.ix_(~held, ~held)], cross, rcond=None)[0]
+        both[np.ix_(held, held)] = own + 0.5 * (through + through.T)
+        return both
 
 
 @dataclass(frozen=True)
@@ -94,6 +128,33 @@ def fit_under_shot_noise(objective: EventTimesObjective, optimum: Optimum, model
         model: With the density as the fit has it, free or held.
         seed: Of the sessions that are simulated.
     """
+    coordinates, x = objective.coordinates, optimum.x
+    held = np.array([is_of_bench(name) for name in coordinates.names])
+    if not held.any():
+        return _fit(objective, optimum, model, seed)
+    at = coordinates.model_at(x)
+    fixed = {name: p.fixed() if is_of_bench(name) else p for name, p in at.nuisances.items()}
+    fewer = Coordinates.of(replace(at, nuisances=fixed))
+    fit = _fit(objective.on(fewer), replace(optimum, x=x[~held], on_bound=optimum.on_bound[~held]), model, seed)
+    covariance = np.linalg.pinv(optimum.local.information, hermitian=True)[np.ix_(held, held)]
+    bench = HeldBench(tuple(np.asarray(coordinates.names)[held]), covariance)
+    return _with_bench(fit, at.nuisances, bench)
+
+
+def _with_bench(fit: UnderNoise, nuisances: Mapping[str, Parameter], bench: HeldBench) -> UnderNoise:
+    """A fit with the nuisances that it held among its coordinates again, as they are."""
+    few = fit.objective.coordinates
+    coordinates = Coordinates.of(replace(few.model, nuisances=dict(nuisances)))
+    known = {**_named(coordinates, coordinates.start), **_named(few, fit.optimum.x)}
+    x = np.array([known[name] for name in coordinates.names])
+    objective, bound = fit.objective.on(coordinates), dict(zip(few.names, fit.optimum.on_bound, strict=True))
+    on_bound = np.array([bound.get(name, False) for name in coordinates.names])
+    optimum = replace(fit.optimum, x=x, local=objective.local(x), on_bound=on_bound)
+    return replace(fit, objective=objective, optimum=optimum, bench=bench)
+
+
+def _fit(objective: EventTimesObjective, optimum: Optimum, model: Model, seed: int) -> UnderNoise:
+    """As `fit_under_shot_noise`, of all coordinates of the objective."""
     coordinates, x = objective.coordinates, optimum.x
     parameter = model.parameters[DENSITY]
     places = {name: k for k, name in enumerate(coordinates.names)}

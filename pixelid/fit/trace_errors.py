@@ -1,8 +1,9 @@
 """What noise of a measured light's trace adds to the errors of a fit: the filter that removes it leaves some.
 
-The filtered trace is taken for the light, noise like the trace's own is added and filtered again, and the gradient
-under that light says by how much the optimum would move, one Newton step away.  Its mean square over a few draws is the
-variance that the trace's noise adds to each coordinate, bias of the filter included.
+The filtered trace is taken for the light, noise like the trace's own is added and filtered again, and what the gradient
+changes by says how much the optimum would move, one Newton step away.  Its mean square over a few draws is the variance
+that the trace's noise adds to each coordinate, bias of the filter included.  Shot noise is left out of both gradients:
+to what light does to them it adds in second order.
 """
 
 from __future__ import annotations
@@ -43,13 +44,15 @@ def trace_errors(
     noisy = [r for r in recordings if r.attributes.get(ATTRIBUTE, 0.0) > 0.0]
     if not noisy or not np.isfinite(covariance).all():
         return np.zeros(len(x))
-    rng, moves = np.random.default_rng([seed, 41]), []
-    for _ in range(DRAWS):
-        drawn = [with_fine_light(_with_noise(r, rng), between) for r in recordings]
-        likelihood = EventTimes(drawn)
+
+    def gradient(light: Sequence[Recording]) -> np.ndarray:
+        likelihood = EventTimes([with_fine_light(recording, between) for recording in light])
         likelihood.clock_share = objective.likelihood.clock_share
-        moves.append(covariance @ EventTimesObjective(likelihood, objective.coordinates, objective.off).gradient(x))
-    return np.sqrt(np.mean(np.square(moves), axis=0))
+        return EventTimesObjective(likelihood, objective.coordinates, objective.off).gradient(x)
+
+    rng, here = np.random.default_rng([seed, 41]), gradient(recordings)
+    drawn = [gradient([_with_noise(r, rng) for r in recordings]) for _ in range(DRAWS)]
+    return np.sqrt(np.mean(np.square((drawn - here) @ covariance), axis=0))
 
 
 def _with_noise(recording: Recording, rng: np.random.Generator) -> Recording:

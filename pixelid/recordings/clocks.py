@@ -15,7 +15,7 @@ the same reason a second trigger edge, which is as easily misplaced as the first
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -59,12 +59,14 @@ class AlignedClock:
     """What a recording says of how it was aligned.
 
     method: of `ESTIMATED`;  offset_s, rate_error: as of `recordings.alignment.Alignment`;  prior: see there
+    half_s: half the 95 % interval of the offset
     """
 
     method: str
     offset_s: float
     rate_error: float
     prior: ClockPrior
+    half_s: float
 
 
 def clock_of(recording: Recording) -> AlignedClock | None:
@@ -77,12 +79,15 @@ def clock_of(recording: Recording) -> AlignedClock | None:
     if not isinstance(told, Mapping):  # nothing, or words that somebody else put there
         return None
     where = f"{recording.source or recording.name}: alignment"
-    method = told.get("method")
-    if method not in ESTIMATED or told.get("offset_interval_95") is None:
+    method, interval = told.get("method"), told.get("offset_interval_95")
+    if method not in ESTIMATED or interval is None:
         return None
+    if not isinstance(interval, Sequence) or len(interval) != 2 or not all(map(is_number, interval)):
+        raise InputError(f"{where}: offset_interval_95: expected two numbers, found {str(interval)[:40]!r}")
+    half_s = 0.5 * abs(float(interval[1]) - float(interval[0]))
     offset_s, rate_error = (_number(told, name, where) for name in ("offset_s", "clock_rate_error"))
     if told.get("prior") is None:  # files from before it was written
-        return AlignedClock(method, offset_s, rate_error, _unknown(recording))
+        return AlignedClock(method, offset_s, rate_error, _unknown(recording), half_s)
     prior, where = told["prior"], f"{where}.prior"
     if not isinstance(prior, Mapping):
         raise InputError(f"{where}: expected a JSON object, found {str(prior)[:40]!r}")
@@ -91,7 +96,7 @@ def clock_of(recording: Recording) -> AlignedClock | None:
     for name, value in (("span_s", span_s), ("rate_sd", sd), ("delay_sd_s", 1.0 if delay_sd_s is None else delay_sd_s)):
         if not value > 0:
             raise InputError(f"{where}: {name}: expected a positive number, found {value:g}")
-    return AlignedClock(method, offset_s, rate_error, ClockPrior(at_s, span_s, delay_sd_s, mean, sd))
+    return AlignedClock(method, offset_s, rate_error, ClockPrior(at_s, span_s, delay_sd_s, mean, sd), half_s)
 
 
 def _unknown(recording: Recording) -> ClockPrior:

@@ -1,4 +1,6 @@
-"""A jitter longer than the dead time as a candidate: whole paths of true times judge it (`imputation/paths.py`).
+"""Jitters that the density of stamps is enough for, and one longer than the dead time as a candidate.
+
+Of the latter whole paths of true times judge (`imputation/paths.py`).
 
 The density of stamps takes them in the order in which they came.  A jitter of dead times turns that order around, and
 what it explains does not show in what the density gains.
@@ -18,12 +20,23 @@ from pixelid.gap.detect.pixels import PixelEvidence
 from pixelid.gap.imputation.impute import FINEST_PATH_S, JITTER, SIGMA
 from pixelid.gap.imputation.paths import Lights, draw_paths, followable
 from pixelid.gap.imputation.windows import jitter_windows
+from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
+from pixelid.recordings.events import SHORT_QUANTILE
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.selection import few, only
 
+# Of the shortest intervals, that a jitter may be for the density of stamps, which takes it to first order: events keep
+# their order.  Larger ones have times drawn behind them.
+MAX_SHARE_IN_DENSITY = 0.1
 WIDER = 2.0  # one standard deviation tried to the next, from the finest of a path until stamps are less likely
 EVENTS = 2_000  # of the pixels asked, of either pool: about a second for a standard deviation
+
+
+def is_fine_jitter(candidate: Candidate[Maximum], events: EventTimes) -> bool:
+    """Whether a candidate is a jitter that the density of stamps is enough for."""
+    shortest = events.shortest_intervals_s(SHORT_QUANTILE)
+    return candidate.effect == JITTER and candidate.end.values[SIGMA] < MAX_SHARE_IN_DENSITY * shortest
 
 
 def coarse_jitter(

@@ -17,7 +17,7 @@ from pixelid.gap.attribute.candidates import (
     missing,
     remove_effect,
 )
-from pixelid.gap.attribute.coarse_jitter import coarse_jitter
+from pixelid.gap.attribute.coarse_jitter import coarse_jitter, is_fine_jitter
 from pixelid.gap.attribute.pixels import candidates_of, slewing_both_ways
 from pixelid.gap.attribute.significance import leads
 from pixelid.gap.describe.describe import describes_better
@@ -66,7 +66,9 @@ def name_what_settles(state: State, context: Context) -> State | None:
     evidence = before.evidence.weighed(before.fit.model.circuit())
     attribution = _attribute(state, evidence, None, context)
     winner = attribution.winner
-    if winner is None or winner.effect == JITTER or attribution.runners_up:
+    if winner is None or attribution.runners_up:
+        return None
+    if winner.effect == JITTER and not is_fine_jitter(winner, evidence.training):
         return None
     if not stands(evidence, before.fit, before.seen, winner, options, context.cache).firm:
         return None
@@ -115,7 +117,7 @@ def _named_one_more(state: State, context: Context) -> State:
     if winner.effect == LOST and _is_misplaced(state, winner.end.model, hypothesis.fit.model, context):
         return _without_lost(with_refused(state, winner, ONLY_WHERE_DRAWN))
     accepted = with_accepted(state, winner, attribution, standing.firm)
-    if winner.effect == JITTER:
+    if winner.effect == JITTER and not is_fine_jitter(winner, evidence.training):
         coarse = _behind_coarse_jitter(state, attribution, context) if is_astray(state, context) else None
         if coarse is not None:
             return coarse

@@ -13,8 +13,9 @@ from pixelid.fit.maximise import Maximum
 from pixelid.fit.shot_noise import EFFECT, NOISE
 from pixelid.gap.attribute.attribute import Attribution, Candidate, attribute, may_be_named
 from pixelid.gap.attribute.candidates import impossible, missing
+from pixelid.gap.attribute.coarse_jitter import is_fine_jitter
 from pixelid.gap.attribute.pixels import candidates_of
-from pixelid.gap.imputation.impute import JITTER, SIGMA
+from pixelid.gap.imputation.impute import JITTER
 from pixelid.gap.options import Context
 from pixelid.gap.rounds import attribution_entry
 from pixelid.gap.shot_noise.beside import beyond_sessions_without, settled_under_noise
@@ -23,11 +24,6 @@ from pixelid.gap.state import State
 from pixelid.gap.steps.name_effect import MAX_ROUNDS, grown_by, with_accepted
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.shot_noise import share_out
-from pixelid.recordings.events import SHORT_QUANTILE
-
-# Of the shortest intervals, that a jitter named here may be: the density takes it to first order, and events keep their
-# order.  Larger ones are asked with times drawn behind them.
-MAX_JITTER_SHARE = 0.1
 
 
 def named_in_noise(state: State, context: Context) -> State | None:
@@ -73,11 +69,8 @@ def _one_more(state: State, guess: Guess, context: Context) -> State | None:
 
 def _may_be_named(candidate: Candidate[Maximum], events: EventTimes, context: Context) -> bool:
     """Whether it may be named, and the density of single events is enough for it."""
-    if not may_be_named(candidate, context.options):
-        return False
-    if candidate.effect != JITTER:
-        return True
-    return candidate.end.values[SIGMA] < MAX_JITTER_SHARE * events.shortest_intervals_s(SHORT_QUANTILE)
+    enough = candidate.effect != JITTER or is_fine_jitter(candidate, events)
+    return enough and may_be_named(candidate, context.options)
 
 
 def grown_without_noise(
