@@ -73,6 +73,9 @@ def fit_pooled(
             raise InputError(f"--fix {name}: neither the model nor these recordings have it")
         nuisances[name] = nuisances[name].at(value).fixed()
     start = {**model.values, **{name: p.value for name, p in nuisances.items()}}
+    stated = {
+        name: model.values[name] for name in ("on_threshold", "off_threshold", "refractory_s") if name in model.free
+    }
     report("aligning clocks", 0.05)
     afar = PooledRate(recordings, first_s=AFAR * _scouted_s(recordings)).fluid()
     start |= align(afar, model, start)
@@ -80,7 +83,9 @@ def fit_pooled(
     bursts = [b for b in map(_bursts, recordings) if b.pixels is not None]
     sizes = {b.pixels for b in bursts}
     pixels = fixed.get("pooled.pixels", float(sizes.pop()) if len(sizes) == 1 else None)
-    dead_times_s = sorted({b.spacing_s for b in bursts if b.spacing_s is not None})[:1]
+    spacings_s = [b.spacing_s for b in bursts if b.spacing_s is not None]
+    if spacings_s and "refractory_s" in stated:
+        stated["refractory_s"] = model.parameter("refractory_s").within(min(spacings_s))
     start |= {name: value for name, value in _counted(afar, model, start, pixels).items() if name not in fixed}
     if pixels is not None or fluid:
         nuisances["pooled.pixels"] = nuisances["pooled.pixels"].at(start["pooled.pixels"]).fixed()
@@ -103,7 +108,7 @@ def fit_pooled(
     for k, search in enumerate(searches):
         x, searched = (x if search.of is searched else _wider(searched, x, search.of)), search.of
         objective = PooledRateObjective(search.likelihood, searched)
-        x = best_teeth(objective, x, dead_times_s) if search.blurs is FROM_AFAR else x
+        x = best_teeth(objective, [x, _at(searched, stated)]) if search.blurs is FROM_AFAR else x
         objective, optimum = in_rounds(
             objective, x, search.tolerance, search.blurs,
             lambda part, k=k: report("fitting", 0.1 + 0.5 * (k + part) / len(searches)),
@@ -142,6 +147,15 @@ def fit_pooled(
 def _poles(model: Model) -> tuple[str, ...]:
     """The amplifier's pole, which changes places with the follower's where nothing shows the reset."""
     return ("diff_cutoff_hz",) if {"sf_cutoff_hz", "diff_cutoff_hz"} <= set(model.free) else ()
+
+
+def _at(coordinates: Coordinates, stated: Mapping[str, float]) -> np.ndarray:
+    """The start with the stated values, not those that the fluid limit needs, in which no pixel waits."""
+    x = coordinates.start.copy()
+    for i, parameter in enumerate(coordinates.parameters):
+        if parameter.name in stated:
+            x[i] = parameter.to_coordinate(stated[parameter.name])
+    return x
 
 
 def _wider(narrow: Coordinates, x: np.ndarray, coordinates: Coordinates) -> np.ndarray:

@@ -28,24 +28,18 @@ DAMPING, MILDER, TRIALS = 1e-3, 5.0, 6  # of steps where derivatives change too 
 NEAR = 1.0  # standard errors that a round may move estimates for its derivatives to be those of the optimum
 
 
-def best_teeth(objective: PooledRateObjective, x: np.ndarray, dead_times_s: Sequence[float] = ()) -> np.ndarray:
-    """Of several scales of both thresholds, each searched a few steps, the point that suits the counts best.
+def best_teeth(objective: PooledRateObjective, begins: Sequence[np.ndarray]) -> np.ndarray:
+    """Of several scales of both thresholds from each point, searched a few steps, what suits the counts best.
 
     Pixels in step fire at the same phases of a ramp with n and with n + 1 events on it: optima of their own.
-
-    dead_times_s: others to begin at, with each scale.
     """
     names = objective.coordinates.names
     which = [names.index(name) for name in ("on_threshold", "off_threshold") if name in names]
     ends = []
-    for dead_s in (None, *dead_times_s) if "refractory_s" in names else (None,):
+    for x in begins:
         for scale in SCALES if which else (1.0,):
             begin = x.copy()
             begin[which] += np.log(scale)
-            if dead_s is not None:
-                i = names.index("refractory_s")
-                parameter = objective.coordinates.parameters[i]
-                begin[i] = parameter.to_coordinate(parameter.within(dead_s))
             ends.append(_blurred(objective, begin, FIRST_STEPS))
     ends = sorted(ends, key=lambda end: -end.local.value)[:BEST]
     return max((_blurred(objective, end.x, BEST_STEPS) for end in ends), key=lambda end: end.local.value).x
