@@ -82,7 +82,8 @@ def fit_pooled(
     fluid = "threshold_noise" not in model.effects
     bursts = [b for b in map(_bursts, recordings) if b.pixels is not None]
     sizes = {b.pixels for b in bursts}
-    pixels = fixed.get("pooled.pixels", float(sizes.pop()) if len(sizes) == 1 else None)
+    size = next(iter(sizes)) if len(sizes) == 1 else None
+    pixels = fixed.get("pooled.pixels", None if size is None else float(size))
     spacings_s = [b.spacing_s for b in bursts if b.spacing_s is not None]
     if spacings_s and "refractory_s" in stated:
         stated["refractory_s"] = model.parameter("refractory_s").within(min(spacings_s))
