@@ -30,6 +30,7 @@ SCATTER = ("threshold_sigma", "threshold_mismatch.sigma")
 MUCH = 2.0  # times as long as a part worth a search of its own
 ENOUGH = 1.0  # standard errors of that part: more than those of all
 DEAD_TIMES_S = (1e-5, 1e-4, 1e-3)
+OF_BOUND = (0.9, 0.6, 0.35)  # of what bursts bound it by; pools of fast thresholds fire again so long after it
 FLUID = (
     "number of pooled pixels × thresholds: without threshold_noise counts are those of many small thresholds, and show "
     "only their ratio (pooled.pixels is a gauge)"
@@ -85,8 +86,10 @@ def fit_pooled(
     size = next(iter(sizes)) if len(sizes) == 1 else None
     pixels = fixed.get("pooled.pixels", None if size is None else float(size))
     spacings_s = [b.spacing_s for b in bursts if b.spacing_s is not None]
+    begins = [stated]
     if spacings_s and "refractory_s" in stated:
-        stated["refractory_s"] = model.parameter("refractory_s").within(min(spacings_s))
+        dead = model.parameter("refractory_s")
+        begins = [{**stated, "refractory_s": dead.within(share * min(spacings_s))} for share in OF_BOUND]
     start |= {name: value for name, value in _counted(afar, model, start, pixels).items() if name not in fixed}
     if pixels is not None or fluid:
         nuisances["pooled.pixels"] = nuisances["pooled.pixels"].at(start["pooled.pixels"]).fixed()
@@ -109,7 +112,7 @@ def fit_pooled(
     for k, search in enumerate(searches):
         x, searched = (x if search.of is searched else _wider(searched, x, search.of)), search.of
         objective = PooledRateObjective(search.likelihood, searched)
-        x = best_teeth(objective, [x, _at(searched, stated)]) if search.blurs is FROM_AFAR else x
+        x = best_teeth(objective, [x, *(_at(searched, begin) for begin in begins)]) if search.blurs is FROM_AFAR else x
         objective, optimum = in_rounds(
             objective, x, search.tolerance, search.blurs,
             lambda part, k=k: report("fitting", 0.1 + 0.5 * (k + part) / len(searches)),

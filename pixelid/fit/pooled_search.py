@@ -7,14 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 
+from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.newton import Optimum, best_move, maximise
 from pixelid.fit.objective import Local
 from pixelid.fit.pooled_rate import PooledRateObjective
+from pixelid.parameters.parameter import OPEN_SD
 
 BLUR = 0.1  # noise added to thresholds where the search of a blurred pool starts
 # Times both thresholds: optima lie where a ramp makes one event more or less, of 3 to 10.
 SCALES = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.25, 1.4, 1.6, 1.8)
-FIRST_STEPS, BEST, BEST_STEPS = 10, 3, 40  # of each; so many of the best go on for longer
+# So many of the best go on, for so many steps: a few steps match the number of events, more the place of bursts.
+LEGS = ((10_000, 2), (10, 10), (2, 40))
 MAX_STEPS = 20  # of a round
 # Standard errors that one more step would move: an estimate off by so many still has an interval of 94 % instead of
 # 95 %, since Φ(1.96 − 0.3) − Φ(−1.96 − 0.3) = 0.94.
@@ -29,7 +32,7 @@ NEAR = 1.0  # standard errors that a round may move estimates for its derivative
 
 
 def best_teeth(objective: PooledRateObjective, begins: Sequence[np.ndarray]) -> np.ndarray:
-    """Of several scales of both thresholds from each point, searched a few steps, what suits the counts best.
+    """Of several scales of both thresholds from each point, what suits the counts best after a race of searches.
 
     Pixels in step fire at the same phases of a ramp with n and with n + 1 events on it: optima of their own.
     """
@@ -40,9 +43,11 @@ def best_teeth(objective: PooledRateObjective, begins: Sequence[np.ndarray]) -> 
         for scale in SCALES if which else (1.0,):
             begin = x.copy()
             begin[which] += np.log(scale)
-            ends.append(_blurred(objective, begin, FIRST_STEPS))
-    ends = sorted(ends, key=lambda end: -end.local.value)[:BEST]
-    return max((_blurred(objective, end.x, BEST_STEPS) for end in ends), key=lambda end: end.local.value).x
+            ends.append(begin)
+    for most, steps in LEGS:
+        optima = sorted((_blurred(objective, begin, steps) for begin in ends[:most]), key=lambda end: -end.local.value)
+        ends = [end.x for end in optima]
+    return ends[0]
 
 
 def _blurred(objective: PooledRateObjective, x: np.ndarray, steps: int) -> Optimum:
@@ -82,6 +87,7 @@ def settled(
     next begins where it ended.  Narrow bursts make the likelihood a curved ridge, on which the value promises little;
     the score is solved along it.  Counts of neighbouring bins are not independent, so how far is far is judged by the
     scatter of the score, not by the curvature.  Simulated pixels also show the score's mean, which is corrected for.
+    A direction that the data leave open has no end to arrive at: how far it still goes does not count.
 
     Args:
         objective, x: Where the search with rough derivatives has ended.
@@ -93,32 +99,45 @@ def settled(
         The objective near its optimum, the optimum, and (d, d) the inverse of the estimates' covariance.
     """
     objective, coordinates, steps, damping = objective.fine(), objective.coordinates, 0, DAMPING
+    slow = np.diag((OPEN_SD * coordinates.longest_moves()) ** -2.0)  # an open direction is moved along slowly
     while True:
         objective = objective.near(x) if steps < FOLLOW else objective
         local = objective.local(x)
         noisy = max(objective.likelihood.dispersion(objective.expected(x)), 1.0)
         information, mean = objective.scatter(x, local, seed)
-        information /= noisy
+        known = identified(coordinates, information / noisy)
+        local = replace(local, information=local.information + slow)
         begin, (left, held) = x, best_move(coordinates, x, local, 0.0)
-        owed = left @ information @ left
+        owed = left @ known @ left
         for _ in range(CHORDS):
             if owed < within**2:
                 break
             there = replace(local, gradient=objective.score(x + left, begin))
             after, held_after = best_move(coordinates, x + left, there, 0.0)
-            if after @ information @ after > CLOSER * owed:
+            if after @ known @ after > CLOSER * owed:
                 break
-            x, left, held, owed = x + left, after, held_after, after @ information @ after
+            x, left, held, owed = x + left, after, held_after, after @ known @ after
         steps += 1
         report(steps / ROUNDS)
-        moved = (x - begin) @ information @ (x - begin)
+        moved = (x - begin) @ known @ (x - begin)
         converged = bool(owed < within**2 and moved < NEAR**2)
         if converged or steps == ROUNDS:
             x = x + _correction(objective, x, local, mean) if converged else x
-            local = replace(local, value=objective.value(x), gradient=objective.score(x, begin))
-            return objective, Optimum(x, local, converged, held, steps), information * noisy
+            local = replace(
+                local, value=objective.value(x), gradient=objective.score(x, begin),
+                information=local.information - slow,
+            )  # fmt: skip
+            return objective, Optimum(x, local, converged, held, steps), information
         if owed >= within**2 and x is begin:  # too far for a straight line
             x, damping = _uphill(objective, x, local, damping)
+
+
+def identified(coordinates: Coordinates, information: np.ndarray) -> np.ndarray:
+    """(d, d) the part of an information matrix that is of directions known better than `OPEN_SD` (`read_curvature`)."""
+    scale = coordinates.longest_moves()
+    eigenvalues, vectors = np.linalg.eigh(information * np.outer(scale, scale))
+    kept = np.where(eigenvalues > OPEN_SD**-2.0, eigenvalues, 0.0)
+    return (vectors * kept) @ vectors.T / np.outer(scale, scale)
 
 
 def _uphill(objective: PooledRateObjective, x: np.ndarray, local: Local, damping: float) -> tuple[np.ndarray, float]:

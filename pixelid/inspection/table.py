@@ -82,7 +82,7 @@ def _bursts(bursts: dict[str, Any]) -> str:
     if bursts["row_pixels"] is not None:
         text += f", read out in rows of {bursts['row_pixels']}"
     if bursts["dead_time_at_most_s"] is not None:
-        text += f"; dead time ≤ {_seconds(bursts['dead_time_at_most_s'])}, the shortest spacing of full bursts"
+        text += f"; dead time ≤ {_seconds(bursts['dead_time_at_most_s'])}, as no pixel fires twice within it"
     return text
 
 

@@ -5,13 +5,14 @@ of pixels, and then none for the dead time.  Events of one polarity are cut wher
 bursts then end at N: those of N events hold more events than any other size, and larger ones are few.  The wait that
 cuts is not known beforehand, so several are tried and the one under which most events lie in full bursts is kept.
 
-Full bursts that follow one another are a dead time apart, plus the time to the next threshold: their shortest spacing
-bounds the dead time from above, and is it where the light moves fast.  Rows that a readout scans share a time stamp:
-within full bursts most groups of equal stamps then have the size of a row.
+Of any N + 1 events in a row, two are of one pixel, so they take at least a dead time: the least that a tenth more than
+N take bounds the dead time from above, and is little longer where the light moves fast.  Rows that a readout scans
+share a time stamp: within full bursts most groups of equal stamps then have the size of a row.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,7 +24,8 @@ WAITS_NS = (1_000, 2_000, 3_000, 5_000, 7_000, 10_000, 15_000, 20_000, 30_000)  
 MOST_EVENTS = 4_000_000  # looked at
 LEAST_PIXELS, LEAST_BURSTS = 4, 20
 LARGEST_REST = 0.2  # bursts of N + 1 to 1.5 N events, per burst of N: chance unions of two, and noise
-SHORTEST = 0.01  # of the spacings are taken as chance: bursts of N that are parts of others
+MORE = 1.1  # times N: so much noise is in few stretches, or pixels that N lacks
+SHORTEST = 0.01  # of the times that so many events take: a window with more noise is chance
 NESTED = 0.5  # of the events in full bursts of any size: bursts of fewer are chance
 ROW_SHARE = 0.5  # of the events of full bursts in groups of one size
 
@@ -33,7 +35,7 @@ class Bursts:
     """What full bursts show.
 
     pixels: of the pool; None where bursts do not end at a size, and `reason` says why;  full: how many bursts had all
-    length_s: of a full burst, median;  spacing_s: shortest from one to the next of the same polarity, None without any
+    length_s: of a full burst, median;  spacing_s: the least that `MORE` times as many events take, None without N
     row: events with one time stamp within full bursts, None where they have stamps of their own
     """
 
@@ -87,26 +89,26 @@ def find_bursts(t: np.ndarray, p: np.ndarray) -> Bursts:
     enough = NESTED * max(events for _, events, _ in found)
     pixels, _, parts = max((one for one in found if one[1] >= enough), key=lambda one: one[:2])
     full = 0
-    spacings, lengths, grouped = [], [], np.zeros(pixels + 1)
+    lengths, grouped = [], np.zeros(pixels + 1)
     for polarity, (first, last, size) in enumerate(parts):
         times = t[p == polarity]
         whole = size == pixels
         full, begin = full + int(whole.sum()), times[first]
-        spacings.append(np.diff(begin)[whole[:-1] & whole[1:]])
         lengths.append((times[last] - begin)[whole])
         within = np.repeat(whole, size)
         stamps = times[within] * 1.0
         change = np.flatnonzero(np.diff(stamps) != 0)
         runs = np.diff(np.concatenate([[-1], change, [len(stamps) - 1]]))
         grouped += np.bincount(np.minimum(runs, pixels), minlength=pixels + 1) * np.arange(pixels + 1)
-    spacing, length = np.concatenate(spacings), np.concatenate(lengths)
+    more = math.ceil(MORE * pixels)
+    length, spacing = np.concatenate(lengths), t[more:] - t[:-more]
     row = int(np.argmax(grouped))
     return Bursts(
         pixels,
         "",
         full,
         float(np.median(length)) * 1e-9,
-        float(np.quantile(spacing, SHORTEST)) * 1e-9 if len(spacing) >= LEAST_BURSTS else None,
+        float(np.quantile(spacing, SHORTEST)) * 1e-9 if len(spacing) else None,
         row if 1 < row < pixels and grouped[row] > ROW_SHARE * grouped.sum() else None,
     )
 
