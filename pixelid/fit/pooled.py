@@ -102,12 +102,14 @@ def fit_pooled(
     coordinates = Coordinates.of(model, tuple(p.at(start[name]) for name, p in nuisances.items()))
     report("searching", 0.1)
     own = tuple(p.at(start[name]) for name, p in nuisances.items())
+    poleless = Coordinates.of(model.fix(dict.fromkeys(_poles(model))), own)
     narrow = Coordinates.of(model.fix({name: None for name in (*SCATTER, *_poles(model)) if name in model.free}), own)
     searches = [Search(afar, narrow, (1.0,), 1.0)]
     if fluid:
         searches = [Search(PooledRate(recordings).fluid(), narrow, (1.0,), 0.1)]
     else:
-        searches += [Search(scout, narrow, FROM_AFAR, 1.0), Search(scout, coordinates, (0.0, 0.0), 1.0)]
+        searches += [Search(scout, narrow, FROM_AFAR, 1.0), Search(scout, poleless, (0.0, 0.0), 1.0)]
+        searches += [Search(scout, coordinates, (0.0,), 1.0)] if poleless.names != coordinates.names else []
     x, steps, searched = narrow.start, 0, narrow
     for k, search in enumerate(searches):
         x, searched = (x if search.of is searched else _wider(searched, x, search.of)), search.of

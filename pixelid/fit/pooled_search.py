@@ -12,6 +12,7 @@ from pixelid.fit.newton import Optimum, best_move, maximise
 from pixelid.fit.objective import Local
 from pixelid.fit.pooled_rate import PooledRateObjective
 from pixelid.parameters.parameter import OPEN_SD
+from pixelid.statistics import Z95
 
 BLUR = 0.1  # noise added to thresholds where the search of a blurred pool starts
 # Times both thresholds: optima lie where a ramp makes one event more or less, of 3 to 10.
@@ -28,6 +29,7 @@ FOLLOW = (
 )
 CLOSER = 0.7  # times as far from the end, at most, after a step with the same derivatives
 DAMPING, MILDER, TRIALS = 1e-3, 5.0, 6  # of steps where derivatives change too much: least, factor, how often
+SLOW, HELD = 1.0, 1e6  # stiffness of open directions, times that of the least known other
 NEAR = 1.0  # standard errors that a round may move estimates for its derivatives to be those of the optimum
 
 
@@ -87,7 +89,8 @@ def settled(
     next begins where it ended.  Narrow bursts make the likelihood a curved ridge, on which the value promises little;
     the score is solved along it.  Counts of neighbouring bins are not independent, so how far is far is judged by the
     scatter of the score, not by the curvature.  Simulated pixels also show the score's mean, which is corrected for.
-    A direction that the data leave open has no end to arrive at: how far it still goes does not count.
+    A direction that the data leave open has no end to arrive at, and what is known bends along it: it is followed
+    slowly for a while, then held, and has arrived where the end is within its interval.
 
     Args:
         objective, x: Where the search with rough derivatives has ended.
@@ -99,20 +102,21 @@ def settled(
         The objective near its optimum, the optimum, and (d, d) the inverse of the estimates' covariance.
     """
     objective, coordinates, steps, damping = objective.fine(), objective.coordinates, 0, DAMPING
-    slow = np.diag((OPEN_SD * coordinates.longest_moves()) ** -2.0)  # an open direction is moved along slowly
     while True:
         objective = objective.near(x) if steps < FOLLOW else objective
         local = objective.local(x)
         noisy = max(objective.likelihood.dispersion(objective.expected(x)), 1.0)
         information, mean = objective.scatter(x, local, seed)
-        known = identified(coordinates, information / noisy)
-        local = replace(local, information=local.information + slow)
-        begin, (left, held) = x, best_move(coordinates, x, local, 0.0)
+        known, slow = identified(coordinates, information / noisy, SLOW if steps < FOLLOW else HELD)
+        whole, _ = best_move(coordinates, x, local, 0.0)
+        off = whole @ (information / noisy - known) @ whole
+        slowed = replace(local, information=local.information + slow)
+        begin, (left, held) = x, best_move(coordinates, x, slowed, 0.0)
         owed = left @ known @ left
         for _ in range(CHORDS):
             if owed < within**2:
                 break
-            there = replace(local, gradient=objective.score(x + left, begin))
+            there = replace(slowed, gradient=objective.score(x + left, begin))
             after, held_after = best_move(coordinates, x + left, there, 0.0)
             if after @ known @ after > CLOSER * owed:
                 break
@@ -120,24 +124,27 @@ def settled(
         steps += 1
         report(steps / ROUNDS)
         moved = (x - begin) @ known @ (x - begin)
-        converged = bool(owed < within**2 and moved < NEAR**2)
+        converged = bool(owed < within**2 and moved < NEAR**2 and off < Z95**2)
         if converged or steps == ROUNDS:
-            x = x + _correction(objective, x, local, mean) if converged else x
-            local = replace(
-                local, value=objective.value(x), gradient=objective.score(x, begin),
-                information=local.information - slow,
-            )  # fmt: skip
+            x = x + _correction(objective, x, slowed, mean) if converged else x
+            local = replace(local, value=objective.value(x), gradient=objective.score(x, begin))
             return objective, Optimum(x, local, converged, held, steps), information
         if owed >= within**2 and x is begin:  # too far for a straight line
-            x, damping = _uphill(objective, x, local, damping)
+            x, damping = _uphill(objective, x, slowed, damping)
 
 
-def identified(coordinates: Coordinates, information: np.ndarray) -> np.ndarray:
-    """(d, d) the part of an information matrix that is of directions known better than `OPEN_SD` (`read_curvature`)."""
+def identified(coordinates: Coordinates, information: np.ndarray, stiff: float) -> tuple[np.ndarray, np.ndarray]:
+    """The part of an information matrix that is of directions known better than `OPEN_SD` (as `read_curvature` has it).
+
+    Returns:
+        (d, d) that part; (d, d) what slows moves along the others, `stiff` times what is least known of the first.
+    """
     scale = coordinates.longest_moves()
     eigenvalues, vectors = np.linalg.eigh(information * np.outer(scale, scale))
-    kept = np.where(eigenvalues > OPEN_SD**-2.0, eigenvalues, 0.0)
-    return (vectors * kept) @ vectors.T / np.outer(scale, scale)
+    of_open = eigenvalues <= OPEN_SD**-2.0
+    known, slow = np.where(of_open, 0.0, eigenvalues), np.where(of_open, stiff * OPEN_SD**-2.0, 0.0)
+    known, slow = ((vectors * part) @ vectors.T / np.outer(scale, scale) for part in (known, slow))
+    return known, slow
 
 
 def _uphill(objective: PooledRateObjective, x: np.ndarray, local: Local, damping: float) -> tuple[np.ndarray, float]:

@@ -98,7 +98,8 @@ def divide(level: np.ndarray, output: np.ndarray, noise: float, rate: float) -> 
     padded = np.pad(speed, 1, mode="edge")  # a bin in which the light jumps is slow itself
     speed = np.maximum(np.maximum(padded[:-2], padded[2:]), speed)
     by_change = speed / (STEP_SD * noise)
-    by_reset = np.sqrt(speed * rate / (8.0 * RESET_SD * noise))  # what is left of a reset bends within a step
+    # What is left of a reset, speed/rate, bends within a step; less than so much cannot.
+    by_reset = np.where(speed > RESET_SD * noise * rate, np.sqrt(speed * rate / (8.0 * RESET_SD * noise)), 1.0)
     wanted = np.clip(np.maximum(by_change, by_reset), 1.0, MOST_STEPS)
     return (2 ** np.ceil(np.log2(wanted))).astype(np.int64)
 
