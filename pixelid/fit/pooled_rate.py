@@ -171,7 +171,7 @@ def _scores(likelihood: PooledRate, i: int, model: Model, values: dict, per_coun
     events = (counts.on.sum() + counts.off.sum()) / values["pooled.pixels"]
     pixels = int(np.clip(REPLICATE_EVENTS / max(events, 1.0), LEAST_PIXELS, MOST_PIXELS))
     model = model.without_effect("readout_latency") if model.has("readout_latency") else model
-    run = simulate(model, stimulus, width=pixels, height=1, seed=seed)
+    run = simulate(model.set({"delay_s": 0.0}), stimulus, width=pixels, height=1, seed=seed)  # `on_recording` has it
     return _of_pixels(run, likelihood, i, values, per_count, pixels, model.circuit())
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -29,7 +29,7 @@ FOLLOW = (
 )
 CLOSER = 0.7  # times as far from the end, at most, after a step with the same derivatives
 DAMPING, MILDER, TRIALS = 1e-3, 5.0, 6  # of steps where derivatives change too much: least, factor, how often
-SLOW, HELD = 1.0, 1e6  # stiffness of open directions, times that of the least known other
+FOLLOWED = 0.5  # of a step's part along open directions, in the first rounds
 NEAR = 1.0  # standard errors that a round may move estimates for its derivatives to be those of the optimum
 
 
@@ -90,7 +90,7 @@ def settled(
     the score is solved along it.  Counts of neighbouring bins are not independent, so how far is far is judged by the
     scatter of the score, not by the curvature.  Simulated pixels also show the score's mean, which is corrected for.
     A direction that the data leave open has no end to arrive at, and what is known bends along it: it is followed
-    slowly for a while, then held, and has arrived where the end is within its interval.
+    half way for a while, then left, and has arrived where the end is within its interval.
 
     Args:
         objective, x: Where the search with rough derivatives has ended.
@@ -106,18 +106,16 @@ def settled(
         objective = objective.near(x) if steps < FOLLOW else objective
         local = objective.local(x)
         noisy = max(objective.likelihood.dispersion(objective.expected(x)), 1.0)
-        information, mean = objective.scatter(x, local, seed)
-        known, slow = identified(coordinates, information / noisy, SLOW if steps < FOLLOW else HELD)
-        whole, _ = best_move(coordinates, x, local, 0.0)
-        off = whole @ (information / noisy - known) @ whole
-        slowed = replace(local, information=local.information + slow)
-        begin, (left, held) = x, best_move(coordinates, x, slowed, 0.0)
-        owed = left @ known @ left
+        information, _ = objective.scatter(x, local, seed)
+        known, onto = identified(coordinates, information / noisy)
+        begin, share = x, FOLLOWED if steps < FOLLOW else 0.0
+        step = Step(objective, begin, local, onto)
+        left, whole, held = step.at(x, share)
+        owed, off = left @ known @ left, whole @ (information / noisy - known) @ whole
         for _ in range(CHORDS):
             if owed < within**2:
                 break
-            there = replace(slowed, gradient=objective.score(x + left, begin))
-            after, held_after = best_move(coordinates, x + left, there, 0.0)
+            after, _, held_after = step.at(x + left, share)
             if after @ known @ after > CLOSER * owed:
                 break
             x, left, held, owed = x + left, after, held_after, after @ known @ after
@@ -126,25 +124,55 @@ def settled(
         moved = (x - begin) @ known @ (x - begin)
         converged = bool(owed < within**2 and moved < NEAR**2 and off < Z95**2)
         if converged or steps == ROUNDS:
-            x = x + _correction(objective, x, slowed, mean) if converged else x
+            if converged:  # the mean is of the order of what a pass that suits another model errs by
+                begin, objective = x, objective.near(x)
+                local = objective.local(x)
+                information, mean = objective.scatter(x, local, seed)
+                known, onto = identified(coordinates, information / noisy)
+                x = _corrected(Step(objective, begin, local, onto), x, known, mean)
             local = replace(local, value=objective.value(x), gradient=objective.score(x, begin))
             return objective, Optimum(x, local, converged, held, steps), information
         if owed >= within**2 and x is begin:  # too far for a straight line
-            x, damping = _uphill(objective, x, slowed, damping)
+            x, damping = _uphill(objective, x, local, damping)
 
 
-def identified(coordinates: Coordinates, information: np.ndarray, stiff: float) -> tuple[np.ndarray, np.ndarray]:
-    """The part of an information matrix that is of directions known better than `OPEN_SD` (as `read_curvature` has it).
+@dataclass(frozen=True)
+class Step:
+    """Steps towards a score of 0 with the derivatives `local` of one point `begin`.
+
+    onto: (d, d) what takes from a step its part along open directions
+    """
+
+    objective: PooledRateObjective
+    begin: np.ndarray
+    local: Local
+    onto: np.ndarray
+
+    def at(
+        self, x: np.ndarray, share: float, wanted: np.ndarray | float = 0.0
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(step from x with a share of its open part, the whole step, (d,) bool: held by a bound).
+
+        wanted: (d,) the score to arrive at, if not 0
+        """
+        coordinates = self.objective.coordinates
+        there = replace(self.local, gradient=self.objective.score(x, self.begin) - wanted)
+        whole, held = best_move(coordinates, x, there, 0.0)
+        known = self.onto @ whole
+        return np.clip(x + known + share * (whole - known), *coordinates.bounds()) - x, whole, held
+
+
+def identified(coordinates: Coordinates, information: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What an information matrix says of directions known better than `OPEN_SD` (as `read_curvature` has it).
 
     Returns:
-        (d, d) that part; (d, d) what slows moves along the others, `stiff` times what is least known of the first.
+        (d, d) the information of these alone; (d, d) the projection of moves onto them.
     """
     scale = coordinates.longest_moves()
     eigenvalues, vectors = np.linalg.eigh(information * np.outer(scale, scale))
-    of_open = eigenvalues <= OPEN_SD**-2.0
-    known, slow = np.where(of_open, 0.0, eigenvalues), np.where(of_open, stiff * OPEN_SD**-2.0, 0.0)
-    known, slow = ((vectors * part) @ vectors.T / np.outer(scale, scale) for part in (known, slow))
-    return known, slow
+    vectors, eigenvalues = vectors[:, eigenvalues > OPEN_SD**-2.0], eigenvalues[eigenvalues > OPEN_SD**-2.0]
+    known = (vectors * eigenvalues) @ vectors.T / np.outer(scale, scale)
+    return known, scale[:, None] * (vectors @ vectors.T) / scale
 
 
 def _uphill(objective: PooledRateObjective, x: np.ndarray, local: Local, damping: float) -> tuple[np.ndarray, float]:
@@ -157,13 +185,19 @@ def _uphill(objective: PooledRateObjective, x: np.ndarray, local: Local, damping
     return x, damping
 
 
-def _correction(objective: PooledRateObjective, x: np.ndarray, local: Local, mean: np.ndarray) -> np.ndarray:
-    """(d,) the move that takes the score's mean (d,) from estimates; none of backgrounds, which quiet bins identify."""
-    which = np.array([not name.startswith("pooled.background") for name in objective.coordinates.names])
-    inner = np.ix_(which, which)
-    lower, upper = objective.coordinates.bounds()
-    longest = objective.coordinates.longest_moves()[which]
-    part = np.linalg.lstsq(local.information[inner], -mean[which], rcond=1e-14)[0]
-    move = np.zeros(len(x))
-    move[which] = part / max(1.0, float(np.abs(part / longest).max(initial=0.0)))
-    return np.clip(x + move, lower, upper) - x
+def _corrected(step: Step, x: np.ndarray, known: np.ndarray, mean: np.ndarray) -> np.ndarray:
+    """(d,) where the score is not 0, as at x, but the `mean` (d,) that simulated pixels show; x where steps find none.
+
+    Backgrounds keep 0: quiet bins identify them.
+    """
+    names = step.objective.coordinates.names
+    wanted = np.where([name.startswith("pooled.background") for name in names], 0.0, mean)
+    at, owed = x, np.inf
+    for _ in range(CHORDS):
+        move, _, _ = step.at(at, 0.0, wanted)
+        if move @ known @ move > CLOSER * owed:
+            return x
+        at, owed = at + move, move @ known @ move
+        if owed < SETTLED**2:
+            return at
+    return x

@@ -64,6 +64,26 @@ def test_expected_counts_are_the_mean_over_pixels(sigma, error):
     assert np.abs(found - counts(1.0, 0.0)).max() > 0.1 * mean.max()
 
 
+def test_a_finite_pool_is_the_mean_over_its_pixels():
+    """The same with thresholds that have noise, against the dozen kinds of pixel that stand for a pool."""
+    from scipy.special import ndtri
+
+    noisy = PLAIN.with_effect("threshold_noise", {"sigma": 0.1}).set({"on_threshold": 0.2, "off_threshold": 0.2})
+    light = bits(0.1)
+    recording = pool_of([1.0] * 9, light, noisy)
+
+    def counts(brighter, spread):
+        likelihood = PooledRate([recording.with_stimulus(replace(light, radiance=brighter * light.radiance))])
+        values = {**noisy.values, **{p.name: p.value for p in likelihood.nuisances()}}
+        return likelihood.expected(noisy.circuit().with_(light_spread=spread), values)
+
+    factors = np.exp(0.3 * ndtri((np.arange(60) + 0.5) / 60))
+    mean = np.mean([counts(factor, 0.0) for factor in factors], axis=0)
+    found = counts(1.0, 0.3)
+    print("ERR", np.sqrt(((found - mean) ** 2).sum() / (mean**2).sum()), np.sqrt(((counts(1.0, 0.0) - mean) ** 2).sum() / (mean**2).sum()))
+    assert found.sum() == pytest.approx(mean.sum(), rel=5e-3)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
 def test_the_spread_comes_back_from_light_multiplied_by_hand(seed):
