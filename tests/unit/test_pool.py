@@ -5,9 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pixelid.fit.coordinates import Coordinates
+from pixelid.fit.pooled_rate import PooledRateObjective
 from pixelid.likelihood.pool import Comparator, divide, flow, places, queued, signals
 from pixelid.likelihood.pool_kinds import normal_points
+from pixelid.likelihood.pooled_rate import PooledRate
+from pixelid.model.shipped import find_model
+from pixelid.recordings import Recording
 from pixelid.recordings.bursts import find_bursts
+from pixelid.simulate import simulate
+from pixelid.stimuli.stimulus import Stimulus
 from tests.oracles import whole_pixel as oracle
 
 BIN_S, DURATION_S, PIXELS = 50e-6, 0.03, 1500
@@ -53,6 +60,28 @@ def test_expected_counts_and_variances_are_those_of_simulated_pixels(dead_s, sig
         assert np.mean(off[shown] ** 2) < 2.5  # bins share pixels: with few events per pixel they err together
         assert variance.sum() == pytest.approx(counts.var(axis=0).sum(), rel=0.1)
         assert variance.sum() < 0.75 * mean[row].sum()  # Poisson's would be the mean
+
+
+def test_simulated_pixels_are_delayed_as_the_counts_are():
+    """A clock two bins late shifts expected counts and simulated pixels alike: the mean of their score stays."""
+    t = 2e-3 * np.arange(16)
+    stimulus = Stimulus(t, light(np.minimum(t, DURATION_S - 1e-9)), "relative", "previous")
+    model = find_model("dvs128")
+    run = simulate(model, stimulus, width=20, height=1, seed=1)
+    zeros = np.zeros(len(run.events), np.uint16)
+    pooled = Recording(replace(run.events, x=zeros, width=1), stimulus, condition="pool", pooled=True)
+    likelihood = PooledRate([pooled])
+    own = tuple(p.at(20.0) if p.name == "pooled.pixels" else p for p in likelihood.nuisances())
+    means = []
+    for delay_s in (0.0, 2 * BIN_S):
+        coordinates = Coordinates.of(model.release(["delay_s"]).set({"delay_s": delay_s}), own)
+        x = coordinates.start
+        objective = PooledRateObjective(likelihood, coordinates).near(x)
+        local = objective.local(x)
+        information, mean = objective.scatter(x, local, 0)
+        move = np.linalg.pinv(local.information) @ mean
+        means.append(move @ information @ move)
+    assert means[1] == pytest.approx(means[0], rel=0.01)
 
 
 def test_many_small_thresholds_are_the_fluid_rate():
