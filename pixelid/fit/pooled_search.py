@@ -102,6 +102,7 @@ def settled(
         The objective near its optimum, the optimum, and (d, d) the inverse of the estimates' covariance.
     """
     objective, coordinates, steps, damping = objective.fine(), objective.coordinates, 0, DAMPING
+    last = np.zeros(len(x))
     while True:
         objective = objective.near(x) if steps < FOLLOW else objective
         local = objective.local(x)
@@ -122,6 +123,9 @@ def settled(
         steps += 1
         report(steps / ROUNDS)
         moved = (x - begin) @ known @ (x - begin)
+        back = (x - begin) @ known @ last < 0 and moved >= NEAR**2  # derivatives of two places send it to and fro
+        x = 0.5 * (begin + x) if back else x
+        last = x - begin
         converged = bool(owed < within**2 and moved < NEAR**2 and off < Z95**2)
         if converged or steps == ROUNDS:
             if converged:  # the mean is of the order of what a pass that suits another model errs by
