@@ -12,6 +12,7 @@ import numpy as np
 
 from pixelid import stages
 from pixelid.errors import InputError
+from pixelid.fit.judge import LARGEST_DISPERSION
 from pixelid.fit.pooled import fit_pooled
 from pixelid.fit.pooled_rate import PooledRateObjective
 from pixelid.gap.attribute.attribute import Attribution, Candidate, attribute
@@ -153,7 +154,11 @@ def _confirm(state: PooledState, context: Context) -> GapReport:
     context.report("confirm", 0.9)
     run, withdrawn, doubts = None, [], state.doubts
     remainder = state.seen.p < options.alpha_each
-    if state.steps:
+    if (
+        not state.steps
+    ):  # so much scatter hides which part is wrong, and is a misfit
+        remainder = remainder or state.stretches.dispersion > LARGEST_DISPERSION
+    else:
         run = closed_gap(state.stretches, state.cells[0], state.base, state.fit, criteria, options.seed)
         if closes_nothing(run, remainder, criteria):
             withdrawn = [step.winner.effect for step in state.steps]
