@@ -154,9 +154,7 @@ def _confirm(state: PooledState, context: Context) -> GapReport:
     context.report("confirm", 0.9)
     run, withdrawn, doubts = None, [], state.doubts
     remainder = state.seen.p < options.alpha_each
-    if (
-        not state.steps
-    ):  # so much scatter hides which part is wrong, and is a misfit
+    if not state.steps:  # so much scatter hides which part is wrong, and is a misfit
         remainder = remainder or state.stretches.dispersion > LARGEST_DISPERSION
     else:
         run = closed_gap(state.stretches, state.cells[0], state.base, state.fit, criteria, options.seed)
