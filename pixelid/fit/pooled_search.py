@@ -30,7 +30,9 @@ FOLLOW = (
 CLOSER = 0.7  # times as far from the end, at most, after a step with the same derivatives
 DAMPING, MILDER, TRIALS = 1e-3, 5.0, 6  # of steps where derivatives change too much: least, factor, how often
 FOLLOWED = 0.5  # of a step's part along open directions, in the first rounds
-NEAR = 1.0  # standard errors that a round may move estimates for its derivatives to be those of the optimum
+# Joint standard errors that a round may move estimates: half of one along each of a dozen directions.  The correction
+# takes derivatives of its own, and those a little off cost little precision.
+NEAR = 2.0
 
 
 def best_teeth(objective: PooledRateObjective, begins: Sequence[np.ndarray]) -> np.ndarray:
