@@ -115,6 +115,10 @@ def _curvature(found: SearchResult, clocks_free: bool) -> tuple[np.ndarray, str]
     the fastest poles: along that ridge differences of the gradient are noise, and the information matrix is not.
     """
     optimum, names = found.optimum, found.objective.coordinates.names
+    if found.information is not None:
+        # counts that scatter less than the model's do not make it better known
+        wide = max(found.dispersion, 1.0)
+        return found.information / wide, "information matrix and the scatter of the score over pixels"
     counted = (lambda curvature: curvature) if found.bench is None else partial(found.bench.counted, names)
     information = counted(optimum.local.information / found.dispersion)
     if clocks_free:

@@ -84,7 +84,7 @@ def fit(
     settings = Settings(engine_named(engine), form, starts, between, fixed or {}, seed)
     ready = prepare(recordings, model, gauge, Wanted.of(pixel_levels), form, bias_priors)
     if ready.pooled:
-        found = fit_pooled(ready.recordings, ready.model, settings.fixed, report)
+        found = fit_pooled(ready.recordings, ready.model, settings.fixed, report, seed)
     else:
         rng = np.random.default_rng(seed)
         found = search_event_times(ready.recordings, ready.model, ready.levels, settings, rng, report)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.objective import Local, Objective
 
 HALVINGS = 6  # of a step that overshoots
@@ -47,29 +48,20 @@ def maximise(
     wanted: a value that the maximum is asked to reach; a search that crawls towards less ends early, not converged
     (`_hopeless`);  progress(step, value): called after every step
     """
-    lower, upper = objective.coordinates.bounds()
-    longest = objective.coordinates.longest_moves()
-    x = np.clip(np.asarray(start, dtype=float), lower, upper)
+    x = np.clip(np.asarray(start, dtype=float), *objective.coordinates.bounds())
     here = objective.local(x)
-    damping, growth = 1e-3, 2.0
+    damping: float = 1e-3
+    growth = 2.0
     converged = False
     steps = 0
     held = np.zeros(len(x), dtype=bool)
     promises: list[float] = []
     while steps < max_steps:
-        held = held_by_bounds(x, here, lower, upper)
-        free = ~held
-        if not free.any():
+        move, held = best_move(objective.coordinates, x, here, damping)
+        if held.all():
             converged = True
             break
-        H = here.information[np.ix_(free, free)]
-        g = here.gradient[free]
-        scale = np.maximum(np.diag(H), 1e-8 * max(np.diag(H).max(), 1e-300))
-        nearest, farthest = np.maximum(lower - x, -longest), np.minimum(upper - x, longest)
-        move = np.zeros(len(x))
-        move[free] = _best_inside(H + damping * np.diag(scale), g, nearest[free], farthest[free])
-        trial = np.clip(x + move, lower, upper)
-        move = trial - x
+        trial = x + move
         predicted = here.gradient @ move - 0.5 * move @ here.information @ move
         steps += 1
         if damping <= 1.0 and predicted < tolerance:
@@ -83,7 +75,7 @@ def maximise(
         if np.isfinite(value) and gain > 1e-4 * predicted:
             x, here = trial, objective.local(trial)
             ratio = gain / predicted
-            damping *= max(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3)
+            damping *= float(max(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3))
             damping = max(damping, 1e-10)
             growth = 2.0
         else:
@@ -123,6 +115,21 @@ def with_observed_curvature(objective: Objective, optimum: Optimum, *, tolerance
             break
         x, here, steps = trial, objective.local(trial), steps + 1
     return Optimum(x, here, False, held_by_bounds(x, here, lower, upper), steps)
+
+
+def best_move(coordinates: Coordinates, x: np.ndarray, local: Local, damping: float) -> tuple[np.ndarray, np.ndarray]:
+    """((d,) the damped Newton step from x, inside bounds and longest moves; (d,) bool: coordinates held by a bound)."""
+    lower, upper = coordinates.bounds()
+    longest = coordinates.longest_moves()
+    held = held_by_bounds(x, local, lower, upper)
+    move, free = np.zeros(len(x)), ~held
+    if free.any():
+        H = local.information[np.ix_(free, free)]
+        scale = np.maximum(np.diag(H), 1e-8 * max(np.diag(H).max(), 1e-300))
+        nearest, farthest = np.maximum(lower - x, -longest), np.minimum(upper - x, longest)
+        damped = H + damping * np.diag(scale)
+        move[free] = _best_inside(damped, local.gradient[free], nearest[free], farthest[free])
+    return np.clip(x + move, lower, upper) - x, held
 
 
 def held_by_bounds(x: np.ndarray, local: Local, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:

@@ -2,39 +2,67 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from pixelid.errors import InputError
 from pixelid.fit.bench import held, with_bench
 from pixelid.fit.coordinates import Coordinates
-from pixelid.fit.newton import maximise
 from pixelid.fit.own_values import with_own_values
 from pixelid.fit.pooled_rate import PooledRateObjective
+from pixelid.fit.pooled_search import BLUR, SETTLED, best_teeth, in_rounds, settled
 from pixelid.fit.search import SearchResult
 from pixelid.fit.starts import align, match_counts
 from pixelid.likelihood.pooled_rate import PooledRate
 from pixelid.model.model import Model
+from pixelid.recordings.bursts import BurstCounter, Bursts
 from pixelid.recordings.recording import Recording
 
-SCOUT_S = 1.0  # seconds of each recording that the search from afar looks at
+SCOUT_EVENTS, SCOUT_KINDS = 10_000, 6  # per recording, and kinds of pixel, that the search from afar looks at
+LEAST_SCOUT_S = 0.1  # of each recording
+AFAR = 20.0  # times as long for the fluid limit, which costs little and on a short stretch has wrong optima
+FROM_AFAR = (BLUR, BLUR / 2)  # noise added to thresholds in the rounds of that search
+# Held in a blurred pool: it would take the place of what is not yet right.
+SCATTER = ("threshold_sigma", "threshold_mismatch.sigma")
+MUCH = 2.0  # times as long as a part worth a search of its own
+ENOUGH = 1.0  # standard errors of that part: more than those of all
+DEAD_TIMES_S = (1e-5, 1e-4, 1e-3)
+OF_BOUND = (0.9, 0.6, 0.35)  # of what bursts bound it by; pools of fast thresholds fire again so long after it
+FLUID = (
+    "number of pooled pixels × thresholds: without threshold_noise counts are those of many small thresholds, and show "
+    "only their ratio (pooled.pixels is a gauge)"
+)
+
+
+@dataclass(frozen=True)
+class Search:
+    """One search of several: of which likelihood, `of` which coordinates, and the rest as of `in_rounds`."""
+
+    likelihood: PooledRate
+    of: Coordinates
+    blurs: tuple[float, ...]
+    tolerance: float
 
 
 def fit_pooled(
-    recordings: Sequence[Recording], model: Model, fixed: Mapping[str, float], report: Callable[[str, float], None]
+    recordings: Sequence[Recording],
+    model: Model,
+    fixed: Mapping[str, float],
+    report: Callable[[str, float], None],
+    seed: int = 0,
 ) -> SearchResult:
     """The optimum of pooled counts.
 
+    The search goes from wide optima to narrow ones: the fluid limit, a blurred pool from several thresholds, the pool
+    on a part of the events, the pool on all.  A model without threshold_noise is fitted in the fluid limit.
+
     fixed: nuisances of the recordings to hold.  Raises InputError for a name in it that is none.
     """
-    for effect in ("threshold_noise", "threshold_mismatch", "refractory_period"):
-        model = model.without_effect(effect)
     model = model.release(["delay_s"])
-    exchange = {"sf_cutoff_hz", "diff_cutoff_hz"} <= set(model.free)
-    if exchange:
-        model = model.fix({"diff_cutoff_hz": None})
-    scout = PooledRate(recordings, first_s=SCOUT_S)
+    scout = PooledRate(recordings, first_s=_scouted_s(recordings), kinds=SCOUT_KINDS)
     nuisances = {p.name: p for p in scout.nuisances()}
     model = with_bench(model, recordings, delays=False)
     owned = {f"{parameter}[{recording.name}]" for parameter in model.starts_anew for recording in recordings}
@@ -46,9 +74,25 @@ def fit_pooled(
             raise InputError(f"--fix {name}: neither the model nor these recordings have it")
         nuisances[name] = nuisances[name].at(value).fixed()
     start = {**model.values, **{name: p.value for name, p in nuisances.items()}}
+    stated = {
+        name: model.values[name] for name in ("on_threshold", "off_threshold", "refractory_s") if name in model.free
+    }
     report("aligning clocks", 0.05)
-    start |= align(scout, model, start)
-    start |= {name: value for name, value in match_counts(scout, model, start).items() if name not in fixed}
+    afar = PooledRate(recordings, first_s=AFAR * _scouted_s(recordings)).fluid()
+    start |= align(afar, model, start)
+    fluid = "threshold_noise" not in model.effects
+    bursts = [b for b in map(_bursts, recordings) if b.pixels is not None]
+    sizes = {b.pixels for b in bursts}
+    size = next(iter(sizes)) if len(sizes) == 1 else None
+    pixels = fixed.get("pooled.pixels", None if size is None else float(size))
+    spacings_s = [b.spacing_s for b in bursts if b.spacing_s is not None]
+    begins = [stated]
+    if spacings_s and "refractory_s" in stated:
+        dead = model.parameter("refractory_s")
+        begins = [{**stated, "refractory_s": dead.within(share * min(spacings_s))} for share in OF_BOUND]
+    start |= {name: value for name, value in _counted(afar, model, start, pixels).items() if name not in fixed}
+    if pixels is not None or fluid:
+        nuisances["pooled.pixels"] = nuisances["pooled.pixels"].at(start["pooled.pixels"]).fixed()
     model = model.set({name: value for name, value in start.items() if name in model.parameters})
     names = [recording.name for recording in recordings]
     model = with_own_values(
@@ -57,34 +101,38 @@ def fit_pooled(
     model = held(model, {name: value for name, value in fixed.items() if name in owned})
     coordinates = Coordinates.of(model, tuple(p.at(start[name]) for name, p in nuisances.items()))
     report("searching", 0.1)
-    scouted = maximise(
-        PooledRateObjective(scout, coordinates),
-        coordinates.start,
-        tolerance=1.0,
-        max_steps=60,
-        progress=lambda step, value: report("searching", 0.1 + 0.4 * step / 60),
-    )
-    noisy = scout.dispersion(PooledRateObjective(scout, coordinates).expected(scouted.x))
-    likelihood = PooledRate(recordings)
-    objective = PooledRateObjective(likelihood, coordinates)
-    optimum = maximise(
-        objective,
-        scouted.x,
-        tolerance=0.1 * max(noisy, 1.0),  # a tenth of a nat, for counts this noisy
-        max_steps=80,
-        progress=lambda step, value: report("fitting", 0.5 + 0.4 * step / 80),
-    )
-    dispersion = likelihood.dispersion(objective.expected(optimum.x))
-    caveats = [
-        "number of pooled pixels × thresholds: only their ratio is visible (pooled.pixels is a gauge, chosen so that "
-        f"on_threshold started at {model.values['on_threshold']:g})",
-        "threshold noise, mismatch and dead time: pooled counts do not show them (left out of the model)",
-    ]
-    if exchange:
-        caveats.append(
-            "source follower and differencing pole: pooled counts do not show the reset that separates them, so they "
-            "can change places; diff_cutoff_hz is held where it was"
-        )
+    own = tuple(p.at(start[name]) for name, p in nuisances.items())
+    poleless = Coordinates.of(model.fix(dict.fromkeys(_poles(model))), own)
+    narrow = Coordinates.of(model.fix({name: None for name in (*SCATTER, *_poles(model)) if name in model.free}), own)
+    searches = [Search(afar, narrow, (1.0,), 1.0)]
+    if fluid:
+        searches = [Search(PooledRate(recordings).fluid(), narrow, (1.0,), 0.1)]
+    else:
+        searches += [Search(scout, narrow, FROM_AFAR, 1.0), Search(scout, poleless, (0.0, 0.0), 1.0)]
+        searches += [Search(scout, coordinates, (0.0,), 1.0)] if poleless.names != coordinates.names else []
+    x, steps, searched = narrow.start, 0, narrow
+    for k, search in enumerate(searches):
+        x, searched = (x if search.of is searched else _wider(searched, x, search.of)), search.of
+        objective = PooledRateObjective(search.likelihood, searched)
+        x = best_teeth(objective, [x, *(_at(searched, begin) for begin in begins)]) if search.blurs is FROM_AFAR else x
+        objective, optimum = in_rounds(
+            objective, x, search.tolerance, search.blurs,
+            lambda part, k=k: report("fitting", 0.1 + 0.5 * (k + part) / len(searches)),
+        )  # fmt: skip
+        x, steps = optimum.x, steps + optimum.steps
+    information = optimum.local.information
+    if not fluid:
+        for k, part_s in enumerate(_lengths_s(recordings)):
+            last = PooledRateObjective(PooledRate(recordings, first_s=part_s), coordinates)
+            objective, optimum, information = settled(
+                last, optimum.x, seed, lambda part, k=k: report("fitting", 0.6 + 0.15 * (k + part)),
+                SETTLED if part_s == math.inf else ENOUGH,
+            )  # fmt: skip
+            steps += optimum.steps
+    dispersion = objective.likelihood.dispersion(objective.expected(optimum.x))
+    caveats = [FLUID] if fluid else []
+    if pixels is not None:
+        caveats.append(f"pooled.pixels = {pixels:g} is held: as stated, or the events come in bursts of so many")
     if "stimulus.offset" in nuisances:
         caveats.append(
             "light levels: radiance is in units of the light that is on all the time (stimulus.offset = 1 is a gauge), "
@@ -92,7 +140,65 @@ def fit_pooled(
         )
     details = {
         "dispersion": dispersion,
-        "bin_s": float(np.diff(likelihood.counts[0].edges[:2])[0]),
-        "steps": optimum.steps,
+        "bin_s": float(np.diff(objective.likelihood.counts[0].edges[:2])[0]),
+        "steps": steps,
     }
-    return SearchResult(objective, optimum, 1, details, caveats=caveats, dispersion=dispersion)
+    values = objective.coordinates.values(optimum.x)
+    return SearchResult(
+        objective, optimum, 1 if fluid else max(round(values["pooled.pixels"]), 1), details, caveats=caveats,
+        dispersion=dispersion, information=information,
+    )  # fmt: skip
+
+
+def _poles(model: Model) -> tuple[str, ...]:
+    """The amplifier's pole, which changes places with the follower's where nothing shows the reset."""
+    return ("diff_cutoff_hz",) if {"sf_cutoff_hz", "diff_cutoff_hz"} <= set(model.free) else ()
+
+
+def _at(coordinates: Coordinates, stated: Mapping[str, float]) -> np.ndarray:
+    """The start with the stated values, not those that the fluid limit needs, in which no pixel waits."""
+    x = coordinates.start.copy()
+    for i, parameter in enumerate(coordinates.parameters):
+        if parameter.name in stated:
+            x[i] = parameter.to_coordinate(stated[parameter.name])
+    return x
+
+
+def _wider(narrow: Coordinates, x: np.ndarray, coordinates: Coordinates) -> np.ndarray:
+    """The point x of `narrow` in coordinates that have more."""
+    at = dict(zip(narrow.names, x, strict=True))
+    return np.array([at.get(name, begin) for name, begin in zip(coordinates.names, coordinates.start, strict=True)])
+
+
+def _scouted_s(recordings: Sequence[Recording]) -> float:
+    """Seconds of every recording that hold events enough for a search from afar."""
+    rates = [len(r.events) / max(float(np.ptp(r.events.t)) * 1e-9, 1e-9) for r in recordings if len(r.events) > 1]
+    return max(SCOUT_EVENTS / min(rates), LEAST_SCOUT_S) if rates else LEAST_SCOUT_S
+
+
+def _lengths_s(recordings: Sequence[Recording]) -> list[float]:
+    """Seconds of every recording that the last searches look at: a part where that is less than all, then all."""
+    few_s = _scouted_s(recordings)
+    longer = any(r.stimulus is not None and r.stimulus.duration_s > MUCH * few_s for r in recordings)
+    return [few_s, math.inf] if longer else [math.inf]
+
+
+def _bursts(recording: Recording) -> Bursts:
+    counter = BurstCounter()
+    counter.add(recording.events)
+    return counter.bursts()
+
+
+def _counted(afar: PooledRate, model: Model, start: dict[str, float], pixels: float | None) -> dict[str, float]:
+    """Pixels, thresholds and dead time to start from: of several dead times, the one that suits the counts best.
+
+    A dead time that is off by a factor of ten changes which events follow which, so it has no useful gradient.
+    """
+    times = [None] if "refractory_s" not in model.free else [model.values["refractory_s"], *DEAD_TIMES_S]
+    best: tuple[float, dict[str, float]] = (-np.inf, {})
+    for dead_s in times:
+        trial = start if dead_s is None else {**start, "refractory_s": model.parameter("refractory_s").within(dead_s)}
+        trial = {**trial, **match_counts(afar, model, trial, pixels)}
+        value = afar.log_likelihood(afar.expected(model.circuit(trial), trial))
+        best = max(best, (value, trial), key=lambda pair: pair[0])
+    return best[1]

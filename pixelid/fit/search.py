@@ -62,6 +62,7 @@ class SearchResult:
         caveats: Sentences on what the light leaves open.
         levels: Of pixels, where they were fitted.
         dispersion: Variance of counts over what the model expects; 1 of event times.
+        information: (d, d) inverse of the estimates' covariance, where it is not the curvature's (pooled counts).
         bench: Nuisances that were held at what a fit without shot noise found.
     """
 
@@ -74,6 +75,7 @@ class SearchResult:
     caveats: Sequence[str] = ()
     levels: Levelled | None = None
     dispersion: float = 1.0
+    information: np.ndarray | None = None
     bench: HeldBench | None = None
 
 

@@ -114,19 +114,35 @@ def _explained(counts: np.ndarray, change: np.ndarray) -> float:
     return float(np.corrcoef(counts, rise)[0, 1]) ** 2
 
 
-def match_counts(likelihood: PooledRate, model: Model, values: dict[str, float]) -> dict[str, float]:
-    """The number of pixels and the OFF threshold that make expected ON and OFF counts equal the observed ones."""
+def match_counts(
+    likelihood: PooledRate, model: Model, values: dict[str, float], pixels: float | None = None
+) -> dict[str, float]:
+    """The number of pixels and the OFF threshold that make expected ON and OFF counts equal the observed ones.
+
+    By the fluid limit, thinned by the dead time.  pixels: where known; then both thresholds.
+    """
     circuit = model.circuit(values)
-    rise = fall = 0.0
-    for i in range(len(likelihood.counts)):
-        change = np.diff(likelihood.output(i, circuit, values))
-        rise += np.maximum(change, 0.0).sum()
-        fall += np.maximum(-change, 0.0).sum()
+    width = likelihood.counts[0].edges[1] - likelihood.counts[0].edges[0]
+    changes = [np.diff(likelihood.output(i, circuit, values)) for i in range(len(likelihood.counts))]
+    change = np.concatenate(changes)
     on = max(sum(c.on.sum() for c in likelihood.counts), 1.0)
     off = max(sum(c.off.sum() for c in likelihood.counts), 1.0)
-    pixels = on * values["on_threshold"] / max(rise, 1e-12)
-    parameter = model.parameter("off_threshold")
-    return {
-        "pooled.pixels": float(pixels),
-        "off_threshold": float(parameter.within(pixels * fall / off)),
-    }
+
+    def per_pixel(change: np.ndarray, threshold: float) -> float:
+        events = np.maximum(change, 0.0) / threshold
+        return max(float(np.sum(events / (1.0 + events * circuit.refractory / width))), 1e-12)
+
+    def threshold(name: str, change: np.ndarray, wanted: float) -> float:
+        parameter = model.parameter(name)
+        trials = parameter.value * np.logspace(-1.5, 1.5, 121)
+        misses = [abs(np.log(per_pixel(change, trial) / wanted)) for trial in trials]
+        return parameter.within(float(trials[int(np.argmin(misses))]))
+
+    start = {}
+    if pixels is None:
+        pixels = on / per_pixel(change, values["on_threshold"])
+    elif "on_threshold" in model.free:
+        start["on_threshold"] = threshold("on_threshold", change, on / pixels)
+    if "off_threshold" in model.free:
+        start["off_threshold"] = threshold("off_threshold", -change, off / pixels)
+    return {"pooled.pixels": float(pixels), **start}

@@ -16,6 +16,7 @@ from pixelid.inspection.dead_time import DeadTime, find_dead_time
 from pixelid.inspection.hot_pixels import HotPixel, hot_of_counts
 from pixelid.inspection.lines import Line, Spectra
 from pixelid.inspection.tick import MIN_EVENTS, Tick, tick_of
+from pixelid.recordings.bursts import BurstCounter, Bursts
 from pixelid.recordings.doubts import doubts, polarity_doubt
 from pixelid.recordings.events import Events
 from pixelid.recordings.parts import LongRecording
@@ -35,6 +36,7 @@ def no_progress(what: str, fraction: float) -> None:
 class Health:
     """What the events of a recording show by themselves.
 
+    bursts: of pooled events
     intervals_share: of the intervals within pixels, how many dead time and tick were looked for in; 1 but in long ones
     biases: what the bias settings of jAER's header imply, as `biases.Implied.as_dict`; None where there are none
     source: what was inferred of the file and what was stated, as `recordings.source.Source.as_dict`
@@ -52,6 +54,7 @@ class Health:
     lines: list[Line]
     hot_pixels: list[HotPixel]
     ceiling: Ceiling | None
+    bursts: Bursts | None = None
     intervals_share: float = 1.0
     biases: dict[str, Any] | None = None
     source: dict[str, Any] | None = None
@@ -100,6 +103,7 @@ class Health:
             "hot_pixels": [asdict(pixel) for pixel in self.hot_pixels[:HOT_PIXELS_LISTED]],
             "hot_pixel_count": len(self.hot_pixels),
             "ceiling": None if self.ceiling is None else asdict(self.ceiling),
+            **({} if self.bursts is None else {"bursts": self.bursts.as_dict()}),
             **({} if self.biases is None else {"biases": self.biases}),
             "source": {"line": Source.from_dict(self.source).line(), **(self.source or {})},
             "doubts": list(self.doubts),
@@ -127,7 +131,8 @@ class Overview:
 def inspect(recording: Recording | LongRecording, progress: Progress = no_progress) -> Health:
     """Health of `recording` from its events.
 
-    A pooled recording has no pixels: its dead time, hot pixels, duplicates and ceiling are not looked for.  A long
+    A pooled recording has no pixels: hot pixels, duplicates and ceiling are not looked for, and what its bursts show of
+    dead time and number of pixels is (`bursts.py`).  A long
     recording is read twice, part by part; of its intervals within pixels a random share is looked at
     (`intervals.MOST_INTERVALS`), everything else is exact.  Time O(n log n); memory a small multiple of the
     events, for a long recording of a part of them.
@@ -150,15 +155,16 @@ def inspect_closely(recording: Recording | LongRecording, progress: Progress = n
     intervals = survey.intervals.intervals
     tick = tick_of(survey.clock_ns, intervals) if survey.events >= MIN_EVENTS and survey.clock_ns else Tick(None)
     if pooled:
-        dead_time = DeadTime(None, None, "pixels are pooled", 0)
+        dead_time = DeadTime(None, None, "pixels are pooled; see the spacing of full bursts", 0)
     else:
         dead_time = find_dead_time(intervals, tick.tick_s, survey.intervals.pairs)
     busiest, spectra = BusiestWindow(survey), Spectra(survey.events, survey.first_ns, survey.last_ns)
     paces = None if pooled else Paces(survey, tick.clock_s)
     rates = _Rates(survey)
+    bursts = BurstCounter() if pooled else None
     seen = 0
     for events in _read(recording):
-        for part in (busiest, spectra, rates, *([paces] if paces else [])):
+        for part in (busiest, spectra, rates, *([paces] if paces else []), *([bursts] if bursts else [])):
             part.add(events)
         seen += len(events)
         progress("rates and lines", seen / max(survey.events, 1))
@@ -174,6 +180,7 @@ def inspect_closely(recording: Recording | LongRecording, progress: Progress = n
         lines=spectra.lines(tick.tick_s),
         hot_pixels=[] if pooled else hot_of_counts(survey.image, survey.duration_s),
         ceiling=None if paces is None else paces.ceiling(),
+        bursts=None if bursts is None else bursts.bursts(),
         intervals_share=survey.intervals.share,
         biases=_implied(head),
         source=Source.from_dict(head.attributes.get(ATTRIBUTE)).as_dict(),

@@ -54,6 +54,8 @@ def rows_of_result(result: dict[str, Any]) -> list[tuple[str, str]]:
             ("hot pixels", _hot_pixels(result["hot_pixels"], result["hot_pixel_count"])),
             ("readout ceiling", _ceiling(result["ceiling"])),
         ]
+    if "bursts" in result:
+        rows.append(("bursts", _bursts(result["bursts"])))
     if result.get("source", {}).get("line"):
         rows.insert(1, ("read as", result["source"]["line"]))
     rows += [("check", doubt) for doubt in result.get("doubts", ())]
@@ -69,6 +71,19 @@ def _biases(biases: dict[str, Any]) -> str:
         unit = {"log radiance": ""}.get(value["unit"], f" {value['unit']}")
         lines.append(f"{name} {value['value']:.3g}{unit} ({low:.2g} to {high:.2g})")
     return "\n".join([*lines, *(f"{name}: nothing, {why}" for name, why in biases["without"].items())])
+
+
+def _bursts(bursts: dict[str, Any]) -> str:
+    if bursts["pixels"] is None:
+        return bursts["reason"]
+    text = (
+        f"{bursts['full_bursts']} of exactly {bursts['pixels']} events in {_seconds(bursts['burst_s'])}: so many pixels"
+    )
+    if bursts["row_pixels"] is not None:
+        text += f", read out in rows of {bursts['row_pixels']}"
+    if bursts["dead_time_at_most_s"] is not None:
+        text += f"; dead time ≤ {_seconds(bursts['dead_time_at_most_s'])}, as no pixel fires twice within it"
+    return text
 
 
 def _dead_time(dead: dict[str, Any]) -> str:

@@ -16,10 +16,9 @@ from pixelid.model.model import Model
 STEPS = 12  # of the optimiser: neighbouring models start near each other
 FIT, SELECT = 0, 1  # roles of stretches
 LIGHT_SPREAD = "light_spread"  # which only pooled counts have
-NOT_IN_COUNTS = {
-    "leak", "parasitic_photocurrent", "timestamp_jitter", "threshold_drift", "differencing_pole", "refractory_period",
-    "dead_time_without_reset", "polarity_memory", "lost_events", "threshold_mismatch", "threshold_noise",
-}  # fmt: skip
+# Counts in bins of 50 µs blur what moves single events, and an event lost is a pixel fewer or a higher threshold.
+NOT_IN_COUNTS = {"timestamp_jitter", "lost_events"}
+ONLY_IN_COUNTS = (LIGHT_SPREAD, "readout_latency")
 
 
 @dataclass(frozen=True)
@@ -81,5 +80,5 @@ def effects_to_try(stretches: Stretches, model: Model, leave_out: Sequence[str])
     shaped = any(r.stimulus is not None and r.stimulus.unit == "shape" for r in stretches.whole.recordings)
     # where the light is known up to an offset, dark current is that offset
     skip = {*leave_out, *NOT_IN_COUNTS, *(("dark_current",) if shaped else ())}
-    there = [*missing(model), *(() if model.has(LIGHT_SPREAD) else (LIGHT_SPREAD,))]
+    there = [*missing(model), *(effect for effect in ONLY_IN_COUNTS if not model.has(effect))]
     return [effect for effect in there if effect not in skip]

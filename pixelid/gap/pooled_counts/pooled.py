@@ -1,7 +1,6 @@
 """The gap of pooled recordings: events without pixels, counted in bins, explained by the pooled rate.
 
-What pooled counts cannot show is not tried: thresholds of single pixels, dead time, leaks (a background per polarity is
-always fitted).  `stretches.py` holds the counts, their cells and their maps.
+What pooled counts cannot show is not tried (`NOT_IN_COUNTS`).  `stretches.py` holds counts, cells and maps.
 """
 
 from __future__ import annotations
@@ -13,6 +12,7 @@ import numpy as np
 
 from pixelid import stages
 from pixelid.errors import InputError
+from pixelid.fit.judge import LARGEST_DISPERSION
 from pixelid.fit.pooled import fit_pooled
 from pixelid.fit.pooled_rate import PooledRateObjective
 from pixelid.gap.attribute.attribute import Attribution, Candidate, attribute
@@ -43,10 +43,10 @@ from pixelid.recordings.recording import Recording
 from pixelid.statistics import Z95
 from pixelid.stimuli.stimulus import Stimulus
 
-MAX_SECONDS = 3.0  # of each recording that the search looks at: bins of 50 µs are many
+MAX_EVENTS = 60_000  # of each recording that the search looks at: a pool's counts scatter little
+LEAST_SECONDS = 0.25  # of each, enough for stretches much longer than the pixels' memory
 MAX_ROUNDS = 3
 TRAINING = (0, 1)  # roles of stretches: to fit and to select
-FLUID = "Part of it may be the pooled rate itself, a limit of many small thresholds that forgets the last one crossed."
 
 
 @dataclass(frozen=True)
@@ -113,8 +113,11 @@ def _begin(recordings: Sequence[Recording], model: Model, context: Context) -> P
     report("base model", 0.02)
     found = fit_pooled(shortened, model, {}, lambda what, share: report(what, 0.3 * share))
     objective, optimum = found.objective, found.optimum
-    stretches = cut_into_stretches(objective.likelihood, found.dispersion, options.seed)
     nuisances = objective.coordinates.nuisances_at(optimum.x)
+    parameters = [
+        p for name, p in objective.coordinates.nuisances.items() if not objective.coordinates.model.knows(name)
+    ]
+    stretches = cut_into_stretches(objective.likelihood, found.dispersion, parameters, options.seed)
     fitted = objective.coordinates.model_at(optimum.x)
     base = stretches.fit(fitted, nuisances, stretches.part(*TRAINING), STEPS)
     cells = tuple(sort_bins(stretches, base))
@@ -151,7 +154,9 @@ def _confirm(state: PooledState, context: Context) -> GapReport:
     context.report("confirm", 0.9)
     run, withdrawn, doubts = None, [], state.doubts
     remainder = state.seen.p < options.alpha_each
-    if state.steps:
+    if not state.steps:  # so much scatter hides which part is wrong, and is a misfit
+        remainder = remainder or state.stretches.dispersion > LARGEST_DISPERSION
+    else:
         run = closed_gap(state.stretches, state.cells[0], state.base, state.fit, criteria, options.seed)
         if closes_nothing(run, remainder, criteria):
             withdrawn = [step.winner.effect for step in state.steps]
@@ -180,7 +185,7 @@ def _confirm(state: PooledState, context: Context) -> GapReport:
         model=replace(state.fit.model, name=f"{state.name}_grown") if effects else state.base.model,
         term=None,
         recommended_next={
-            "why": "events with pixel addresses, under known light: pooled counts show neither thresholds nor resets",
+            "why": "events with pixel addresses, under known light: pooled counts show the pixels of a pool together",
             "stimulus": None,
         },
         seconds=context.watch.seconds(),
@@ -197,7 +202,7 @@ STEPS_OF_POOLED: Mapping[Phase, Step[PooledState]] = {Phase.NAME: _name_effect, 
 def _details(state: PooledState, withdrawn: Sequence[str], min_events: int) -> dict:
     return {
         "dispersion": state.stretches.dispersion,
-        "seconds_used": MAX_SECONDS,
+        "seconds_used": max(float(np.ptp(r.events.t)) * 1e-9 for r in state.recordings),
         "stimulus_between_samples": "as recorded",
         "held_out": True,
         "withdrawn": list(withdrawn),
@@ -220,13 +225,15 @@ def _entry(turn: int, state: PooledState, attribution: Attribution[Fitted]) -> d
 
 
 def _shortened(recording: Recording) -> Recording:
-    """The first `MAX_SECONDS` of a recording."""
+    """The first of a recording, up to some `MAX_EVENTS` events."""
     stimulus = recording.stimulus
     if stimulus is None:
         raise InputError(f"{recording.name}: no stimulus; the gap is between a model's events and the measured ones")
     if not isinstance(stimulus, Stimulus) or not stimulus.full_field:
         raise InputError(f"{recording.name}: pooled events need full-field light, found light of each pixel's own")
-    shown = stimulus.until(stimulus.start_s + MAX_SECONDS)
+    t = recording.events.t
+    last_s = float(t[MAX_EVENTS]) * 1e-9 if len(t) > MAX_EVENTS else stimulus.end_s
+    shown = stimulus.until(max(last_s, stimulus.start_s + LEAST_SECONDS))
     if shown is stimulus:
         return recording
     events = recording.events.select(recording.events.t * 1e-9 <= shown.end_s)
@@ -268,7 +275,6 @@ def _describe(
         text = f"Something is missing that no effect of the library explains: {seen.words}."
         if term[0] and term[1] > TELLING_NATS:
             text += f" Rates that depend on {term[0]} gain {term[1]:.3g} nats on stretches not used to find them."
-        text += f" {FLUID}"
         listed = "; ".join(e.name for e in effects)
         return (f"Found on the way: {listed}. " if listed else "") + text
     if said == "ambiguous":  # rounds end with the first doubt: the last one named is in doubt

@@ -8,7 +8,7 @@ Nelder 1989, section 9.2), and maps are judged by flipping the signs of whole st
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +22,7 @@ from pixelid.gap.detect.covariates import POLARITY
 from pixelid.gap.detect.maps import flip_signs
 from pixelid.likelihood.pooled_rate import PooledRate, delay_name
 from pixelid.model.model import Model
+from pixelid.parameters.parameter import Parameter
 from pixelid.stimuli.stimulus import Stimulus
 
 STRETCHES = 60  # per recording: enough to flip signs of, each long beside the pixels' memory
@@ -77,13 +78,14 @@ class Stretches:
     """Pooled counts cut into stretches of time.
 
     whole: the likelihood of all bins;  stretch, role: (bins,) where each belongs, roles 0 fit, 1 select, 2 confirm
-    dispersion: variance of counts over Poisson's
+    dispersion: variance of counts over that of the model's pool;  nuisances: of the recordings, free and held
     """
 
     whole: PooledRate
     stretch: np.ndarray
     role: np.ndarray
     dispersion: float
+    nuisances: tuple[Parameter, ...]
 
     def part(self, *roles: int) -> PooledRate:
         """The likelihood of the stretches of some roles."""
@@ -91,7 +93,7 @@ class Stretches:
 
     def fit(self, model: Model, nuisances: Mapping[str, float], likelihood: PooledRate, steps: int) -> Fitted:
         """The model fitted to a part of the stretches."""
-        free = tuple(p.at(p.within(nuisances[p.name])) for p in self.whole.nuisances())
+        free = tuple(p.at(p.within(nuisances[p.name])) for p in self.nuisances)
         coordinates = Coordinates.of(model, free)
         objective = PooledRateObjective(likelihood, coordinates)
         end = newton.maximise(objective, coordinates.start, tolerance=0.1 * self.dispersion, max_steps=steps)
@@ -111,7 +113,7 @@ class Stretches:
         return np.bincount(np.unique(self.stretch[inside], return_inverse=True)[1], gain[inside])
 
 
-def cut_into_stretches(whole: PooledRate, dispersion: float, seed: int) -> Stretches:
+def cut_into_stretches(whole: PooledRate, dispersion: float, nuisances: Iterable[Parameter], seed: int) -> Stretches:
     """The counts cut, roles drawn by the seed."""
     rng = np.random.default_rng(seed)
     stretch, role, first = [], [], 0
@@ -122,7 +124,7 @@ def cut_into_stretches(whole: PooledRate, dispersion: float, seed: int) -> Stret
         stretch += [first + own, first + own]
         role += [roles[own], roles[own]]
         first += STRETCHES
-    return Stretches(whole, np.concatenate(stretch), np.concatenate(role), max(dispersion, 1.0))
+    return Stretches(whole, np.concatenate(stretch), np.concatenate(role), max(dispersion, 1.0), tuple(nuisances))
 
 
 def sort_bins(stretches: Stretches, base: Fitted) -> list[Cells]:
@@ -198,6 +200,7 @@ def diagnose_pooled(
     """What the training stretches leave under a model."""
     train = stretches.role < 2
     observed, expected = stretches.whole.observed[train], model.expected[train]
+    scatter = stretches.dispersion * stretches.whole.ratio[train] * expected
     table: list[dict] = []
     sums: dict[bool, list[np.ndarray]] = {}
     for sorted_by in cells:
@@ -205,11 +208,11 @@ def diagnose_pooled(
         units = np.unique(own[train], return_inverse=True)[1]
         k = len(sorted_by.labels)
         cell = sorted_by.cell[train]
-        n, mu = np.bincount(cell, observed, k), np.bincount(cell, expected, k)
+        n, mu, variance = (np.bincount(cell, values, k) for values in (observed, expected, scatter))
         shown = np.flatnonzero(mu > criteria.min_cell_events)
         off = np.bincount(units * k + cell, observed - expected, (units.max() + 1) * k).reshape(-1, k)
         sums.setdefault(sorted_by.unit is None, []).append(off[:, shown])
-        score = (n - mu) / np.sqrt(stretches.dispersion * np.maximum(mu, 1e-300))
+        score = (n - mu) / np.sqrt(np.maximum(variance, 1e-300))
         table += [
             {"response": "count", "where": sorted_by.labels[b], "score": float(score[b]), "events": int(n[b]),
              "expected": float(mu[b]), "mean": float(n[b] / mu[b])}
@@ -239,11 +242,12 @@ def closed_gap(
         return np.bincount(units * k + cell, values[confirm], (units.max() + 1) * k).reshape(-1, k)
 
     observed, before, after = table(stretches.whole.observed), table(base.expected), table(grown.expected)
+    scatter = table(stretches.dispersion * stretches.whole.ratio * grown.expected)
 
     def gaps(rows) -> tuple[float, float]:
         mu = after[rows].sum(axis=0)
         shown = mu > criteria.min_cell_events
-        chance = stretches.dispersion * mu[shown]
+        chance = scatter[rows].sum(axis=0)[shown]
         return tuple(
             float(np.mean((observed[rows].sum(axis=0) - model[rows].sum(axis=0))[shown] ** 2 / chance))
             for model in (before, after)

@@ -1,0 +1,133 @@
+"""Bursts of pooled events: how many pixels are in the pool, their dead time, and the rows of the readout.
+
+Where the light steps far enough, every pixel fires once within microseconds: a burst of exactly N events, N the number
+of pixels, and then none for the dead time.  Events of one polarity are cut where nothing comes for a while.  Sizes of
+bursts then end at N: those of N events hold more events than any other size, and larger ones are few.  The wait that
+cuts is not known beforehand, so several are tried and the one under which most events lie in full bursts is kept.
+
+Of any N + 1 events in a row, two are of one pixel, so they take at least a dead time: the least that a tenth more than
+N take bounds the dead time from above, and is little longer where the light moves fast.  Rows that a readout scans
+share a time stamp: within full bursts most groups of equal stamps then have the size of a row.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pixelid.recordings.events import Events
+
+WAITS_NS = (1_000, 2_000, 3_000, 5_000, 7_000, 10_000, 15_000, 20_000, 30_000)  # a readout's gaps to a fast ramp's
+MOST_EVENTS = 4_000_000  # looked at
+LEAST_PIXELS, LEAST_BURSTS = 4, 20
+LARGEST_REST = 0.2  # bursts of N + 1 to 1.5 N events, per burst of N: chance unions of two, and noise
+MORE = 1.1  # times N: so much noise is in few stretches, or pixels that N lacks
+SHORTEST = 0.01  # of the times that so many events take: a window with more noise is chance
+NESTED = 0.5  # of the events in full bursts of any size: bursts of fewer are chance
+ROW_SHARE = 0.5  # of the events of full bursts in groups of one size
+
+
+@dataclass(frozen=True)
+class Bursts:
+    """What full bursts show.
+
+    pixels: of the pool; None where bursts do not end at a size, and `reason` says why;  full: how many bursts had all
+    length_s: of a full burst, median;  spacing_s: the least that `MORE` times as many events take, None without N
+    row: events with one time stamp within full bursts, None where they have stamps of their own
+    """
+
+    pixels: int | None
+    reason: str = ""
+    full: int = 0
+    length_s: float | None = None
+    spacing_s: float | None = None
+    row: int | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """The entry in inspect.json."""
+        return {
+            "pixels": self.pixels, "reason": self.reason, "full_bursts": self.full, "burst_s": self.length_s,
+            "dead_time_at_most_s": self.spacing_s, "row_pixels": self.row,
+        }  # fmt: skip
+
+
+class BurstCounter:
+    """Events of a recording, part by part, up to `MOST_EVENTS`."""
+
+    def __init__(self) -> None:
+        self._t: list[np.ndarray] = []
+        self._p: list[np.ndarray] = []
+        self._left = MOST_EVENTS
+
+    def add(self, events: Events) -> None:
+        """Take the next events in order of time."""
+        if self._left > 0:
+            self._t.append(events.t[: self._left])
+            self._p.append(events.p[: self._left])
+            self._left -= len(self._t[-1])
+
+    def bursts(self) -> Bursts:
+        """What they show."""
+        return find_bursts(np.concatenate(self._t), np.concatenate(self._p)) if self._t else Bursts(None, "no events")
+
+
+def find_bursts(t: np.ndarray, p: np.ndarray) -> Bursts:
+    """The full bursts among times t (n,) ns, in order, of polarities p (n,) 0 or 1."""
+    found = []
+    for wait in WAITS_NS:
+        parts = [_cut(t[p == polarity], wait) for polarity in (0, 1)]
+        sizes = np.concatenate([size for _, _, size in parts])
+        pixels = _last_size(sizes)
+        if pixels is not None:
+            found.append((pixels, pixels * int(np.sum(sizes == pixels)), parts))
+    if not found:
+        return Bursts(None, "no size of bursts stands out: the light never makes all pixels fire at once")
+    # Rows are bursts too, and parts of the whole pool's.
+    enough = NESTED * max(events for _, events, _ in found)
+    pixels, _, parts = max((one for one in found if one[1] >= enough), key=lambda one: one[:2])
+    full = 0
+    lengths, grouped = [], np.zeros(pixels + 1)
+    for polarity, (first, last, size) in enumerate(parts):
+        times = t[p == polarity]
+        whole = size == pixels
+        full, begin = full + int(whole.sum()), times[first]
+        lengths.append((times[last] - begin)[whole])
+        within = np.repeat(whole, size)
+        stamps = times[within] * 1.0
+        change = np.flatnonzero(np.diff(stamps) != 0)
+        runs = np.diff(np.concatenate([[-1], change, [len(stamps) - 1]]))
+        grouped += np.bincount(np.minimum(runs, pixels), minlength=pixels + 1) * np.arange(pixels + 1)
+    more = math.ceil(MORE * pixels)
+    length, spacing = np.concatenate(lengths), t[more:] - t[:-more]
+    row = int(np.argmax(grouped))
+    return Bursts(
+        pixels,
+        "",
+        full,
+        float(np.median(length)) * 1e-9,
+        float(np.quantile(spacing, SHORTEST)) * 1e-9 if len(spacing) else None,
+        row if 1 < row < pixels and grouped[row] > ROW_SHARE * grouped.sum() else None,
+    )
+
+
+def _cut(times: np.ndarray, wait_ns: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(first, last, size) of bursts, indices into times (n,) ns of one polarity."""
+    if len(times) == 0:
+        none = np.zeros(0, np.int64)
+        return none, none, none
+    ends = np.flatnonzero(np.diff(times) > wait_ns)
+    first, last = np.concatenate([[0], ends + 1]), np.concatenate([ends, [len(times) - 1]])
+    return first, last, last - first + 1
+
+
+def _last_size(sizes: np.ndarray) -> int | None:
+    """The size at which bursts end; None where none does."""
+    counts = np.bincount(sizes)
+    events = counts * np.arange(len(counts))
+    pixels = int(np.argmax(events))
+    beyond = counts[pixels + 1 : pixels + 1 + max(pixels // 2, 1)].sum()
+    stands_out = counts[pixels] >= LEAST_BURSTS and beyond < LARGEST_REST * counts[pixels]
+    return pixels if pixels >= LEAST_PIXELS and stands_out else None
