@@ -126,7 +126,7 @@ def _assigned(recordings: Sequence[Recording], lights: Sequence[Light], polarity
     tried = [_hypotheses(i, recordings, lights, polarity) for i in range(len(recordings))]
     loss = np.full((len(recordings), len(lights)), UNEXPLAINED)
     for i, hypotheses in enumerate(tried):
-        if not hypotheses:  # no events that could tell: its own, unless another takes that
+        if not hypotheses:  # too few events: its own, unless another takes that
             loss[i] = 0.5 * UNEXPLAINED
             loss[i, i] = 0.0
         for one in hypotheses:
@@ -151,7 +151,7 @@ def _case(recording: Recording, light: Light, of: str, best: _Hypothesis, how: s
 
 
 def _hypotheses(i: int, recordings: Sequence[Recording], lights: Sequence[Light], polarity: int) -> list[_Hypothesis]:
-    """What recording i may follow with the session's polarity; none where its events cannot tell.
+    """What recording i may follow with the session's polarity; none where it has too few events.
 
     Its own light alone, where that explains it.
     """
