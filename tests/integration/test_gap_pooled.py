@@ -64,6 +64,7 @@ def test_a_high_pass_is_found_and_closes_most_of_the_gap():
     assert report.free_run.closed > 0.6
 
 
+@pytest.mark.slow
 def test_events_missing_for_an_eighth_of_the_time_are_not_explained():
     """Of a slice that long only five stretches train: too few, once, for signs of whole stretches to tell anything."""
     recording = _shortened(bits(POOL))
@@ -112,6 +113,7 @@ def test_the_effect_in_doubt_is_the_last_one_named():
     assert said.endswith("which: extra_pole, or slew_limit.")
 
 
+@pytest.mark.slow
 def test_an_effect_left_out_is_not_found():
     recording = bits(POOL.with_effect("lower_cutoff", {"cutoff_hz": 20.0}), 300, duration_s=0.8)
     assert gap([recording], MODEL, leave_out=["lower_cutoff"]).verdict == "unknown"

@@ -150,6 +150,7 @@ def test_a_phase_that_is_held_is_one_for_all_recordings(likelihood):
         assert abs((off + np.pi) % (2.0 * np.pi) - np.pi) < 0.5 * np.pi
 
 
+@pytest.mark.slow
 def test_pooled_counts_have_a_phase_in_every_recording():
     """Thresholds far below the modulation: the pooled rate is the limit of many events per swing."""
     made, sensitive = [], MODEL.set({"on_threshold": 0.02, "off_threshold": 0.02, "refractory_s": 1e-6})
