@@ -113,7 +113,8 @@ def cases_of(recordings: Sequence[Recording], lights: Sequence[Light], stated: M
 
 @dataclass(frozen=True)
 class _Assigned:
-    """One hypothesis for each recording, and the loss of all."""
+    """One hypothesis for each recording, and the loss of those with events of both polarities, which alone can tell
+    whether these are exchanged."""
 
     chosen: list[_Hypothesis]
     loss: float
@@ -139,7 +140,13 @@ def _assigned(recordings: Sequence[Recording], lights: Sequence[Light], polarity
         events = _events(recordings[i], lights[k], polarity) if k != i and not tried[i] else None
         there = _Hypothesis(events, int(k), polarity, as_stated=k == i)
         chosen.append(min(able, key=lambda one: one.loss, default=there))
-    return _Assigned(chosen, float(loss[rows, columns].sum()))
+    both = np.array([_has_both(recording) for recording in recordings])
+    return _Assigned(chosen, float(loss[rows, columns][both].sum()))
+
+
+def _has_both(recording: Recording) -> bool:
+    """Whether there are ON and OFF events: those of one polarity follow light that rises, or falls half a period on."""
+    return 0 < np.count_nonzero(recording.events.p) < len(recording.events)
 
 
 def _case(recording: Recording, light: Light, of: str, best: _Hypothesis, how: str) -> Case:
@@ -163,7 +170,7 @@ def _hypotheses(i: int, recordings: Sequence[Recording], lights: Sequence[Light]
     if _explains(own.events):
         return [replace(own, as_stated=polarity > 0)]
     tried = [replace(own, as_stated=constant)]
-    if 0 < np.count_nonzero(recording.events.p) < len(recording.events):  # of one polarity they follow either kind
+    if _has_both(recording):
         exchanged = _Hypothesis(_events(recording, lights[i], -polarity), i, -polarity)
         tried += [exchanged] if exchanged.follows else []
     others = sorted(((correlation(recording, light), k) for k, light in enumerate(lights) if k != i), reverse=True)

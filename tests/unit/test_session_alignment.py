@@ -247,7 +247,8 @@ def test_lights_are_exchanged_and_not_shared(monkeypatch):
     """
     follows = {"a": {2: 0.003, 1: 0.004}, "b": {0: 0.003}, "c": {2: 0.003}, "constant": {2: 0.07}, "none": {}}
     names = list(follows)
-    recordings = [SimpleNamespace(name=name, triggers=None, events=()) for name in names]
+    events = session()[0][0].events.select(slice(0))
+    recordings = [SimpleNamespace(name=name, triggers=None, events=events) for name in names]
 
     def hypotheses(i, recordings, lights, polarity):
         def events(loss):
