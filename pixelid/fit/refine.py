@@ -88,7 +88,9 @@ def refine(
     objective, near = ends[between]
     if objective.likelihood.is_uneven:
         objective = objective.holding_gains(near.x)
-    return Refined(objective, maximiser.maximise(objective, near.x, max_steps=60), between, details)
+    optimum = maximiser.maximise(objective, near.x, max_steps=60)
+    report(1.0)
+    return Refined(objective, optimum, between, details)
 
 
 Ends = dict[str, tuple[EventTimesObjective, Optimum]]
