@@ -113,8 +113,8 @@ def cases_of(recordings: Sequence[Recording], lights: Sequence[Light], stated: M
 
 @dataclass(frozen=True)
 class _Assigned:
-    """One hypothesis for each recording, and the loss of those with events of both polarities, which alone can tell
-    whether these are exchanged."""
+    """One hypothesis for each recording, and the loss of those with events of both polarities: the others say nothing of
+    these."""
 
     chosen: list[_Hypothesis]
     loss: float
@@ -146,7 +146,7 @@ def _assigned(recordings: Sequence[Recording], lights: Sequence[Light], polarity
 
 def _has_both(recording: Recording) -> bool:
     """Whether there are ON and OFF events: those of one polarity follow light that rises, or falls half a period on."""
-    return 0 < np.count_nonzero(recording.events.p) < len(recording.events)
+    return 0 < int(np.count_nonzero(recording.events.p)) < len(recording.events)
 
 
 def _case(recording: Recording, light: Light, of: str, best: _Hypothesis, how: str) -> Case:
