@@ -113,7 +113,7 @@ def cases_of(recordings: Sequence[Recording], lights: Sequence[Light], stated: M
 
 @dataclass(frozen=True)
 class _Assigned:
-    """One hypothesis for each recording, and the loss of recordings with both polarities: others say nothing of these."""
+    """One hypothesis for each recording, and the loss of those with both polarities: others say nothing of these."""
 
     chosen: list[_Hypothesis]
     loss: float
