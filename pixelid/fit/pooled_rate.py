@@ -119,10 +119,6 @@ class PooledRateObjective(Objective):
             columns.append((of.expected(moved) - begin) / (moved[i] - x[i]))
         return np.stack(columns, axis=1)
 
-    def information(self, x: np.ndarray, local: Local, seed: int) -> np.ndarray:
-        """(d, d) inverse of the covariance of estimates, as of `scatter`."""
-        return self.scatter(x, local, seed)[0]
-
     def scatter(self, x: np.ndarray, local: Local, seed: int) -> tuple[np.ndarray, np.ndarray]:
         """What pixels simulated from the model at x, one by one, show of the score.
 

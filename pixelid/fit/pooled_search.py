@@ -24,9 +24,8 @@ MAX_STEPS = 20  # of a round
 # 95 %, since Φ(1.96 − 0.3) − Φ(−1.96 − 0.3) = 0.94.
 SETTLED = 0.3
 ROUNDS, CHORDS = 10, 6  # of the last search, and steps with the derivatives of one round
-FOLLOW = (
-    2  # rounds whose forward pass and variances are new: where these change, so does the optimum, within its errors
-)
+# Rounds whose forward pass and variances are new: where these change, so does the optimum, within its errors.
+FOLLOW = 2
 CLOSER = 0.7  # times as far from the end, at most, after a step with the same derivatives
 DAMPING, MILDER, TRIALS = 1e-3, 5.0, 6  # of steps where derivatives change too much: least, factor, how often
 FOLLOWED = 0.5  # of a step's part along open directions, in the first rounds

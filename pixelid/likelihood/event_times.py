@@ -175,8 +175,8 @@ class EventTimes:
         circuits, clocks = self._circuits(circuit)
         parts = list(zip(circuits, self.evaluators, where, self.layout.per_section(vector), clocks, strict=True))
         located = self._filled(parts)
-        by_gain = self._gains_added(vector, circuits, clocks, located)
-        changes = self.layout.stacked(vector, tuple(located), by_gain)
+        self._add_gains(vector, circuits, clocks, located)
+        changes = self.layout.stacked(vector, tuple(located))
         if self.unknown_light is not None:
             self.unknown_light.apply(changes, self.sign)
         if self.shift is not None:
@@ -210,29 +210,26 @@ class EventTimes:
                 row[mine] /= self.threshold_factor[mine]
         return changes
 
-    def _gains_added(
+    def _add_gains(
         self,
         vector: np.ndarray,
         circuits: Sequence[Circuit],
         clocks: Sequence[Clock | None],
         extremes: Sequence[Extremes],
-    ) -> np.ndarray | None:
-        """Move changes by what their pixels see more or less than the light says; what was added, None in an even
-        field."""
+    ) -> None:
+        """Move changes by what their pixels see more or less than the light says."""
         if self._uneven is None:
-            return None
-        added = self.by_gain
-        if added is None:
-            parts = zip(range(len(circuits)), circuits, clocks, extremes, strict=True)
-            gains = map_threads(
-                lambda part: self._gain_of(part[0], vector, *part[1:]), list(parts), threads=None if self._large else 1
-            )
-            added = np.empty_like(vector)
-            for section, gain in zip(self.layout.per_section(added), gains, strict=True):
-                for row, by in zip(section, gain, strict=True):
-                    row[:] = by
-        vector += added
-        return added
+            return
+        if self.by_gain is not None:
+            vector += self.by_gain
+            return
+        parts = zip(range(len(circuits)), circuits, clocks, extremes, strict=True)
+        gains = map_threads(
+            lambda part: self._gain_of(part[0], vector, *part[1:]), list(parts), threads=None if self._large else 1
+        )
+        for section, gain in zip(self.layout.per_section(vector), gains, strict=True):
+            for row, by in zip(section, gain, strict=True):
+                row += by
 
     def _gain_of(
         self, k: int, vector: np.ndarray, circuit: Circuit, clock: Clock | None, extremes: Extremes

@@ -60,14 +60,12 @@ class StackedChanges:
     """The `Changes` of all recordings (or their derivatives).
 
     events, ends: views of `vector`;  extremes: where they were found in each section, none for derivatives
-    by_gain: what the gains of pixels add to `vector`, None in an even field
     """
 
     vector: np.ndarray
     events: EventRows
     ends: EndRows
     extremes: tuple[Extremes, ...] = ()
-    by_gain: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -166,12 +164,10 @@ class Layout:
         at = len(EventRows._fields) * self.events
         return vector[:at].reshape(-1, self.events), vector[at:].reshape(-1, self.ends)
 
-    def stacked(
-        self, vector: np.ndarray, extremes: tuple[Extremes, ...] = (), by_gain: np.ndarray | None = None
-    ) -> StackedChanges:
+    def stacked(self, vector: np.ndarray, extremes: tuple[Extremes, ...] = ()) -> StackedChanges:
         """A vector (size,) by the names of its rows."""
         events, ends = self._blocks(vector)
-        return StackedChanges(vector, EventRows(*events), EndRows(*ends), extremes, by_gain)
+        return StackedChanges(vector, EventRows(*events), EndRows(*ends), extremes)
 
     def per_section(self, vector: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
         """Views (7, n_s), (4, m_s) of each section's columns, to be filled."""

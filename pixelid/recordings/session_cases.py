@@ -87,7 +87,7 @@ class _Hypothesis:
     @property
     def loss(self) -> float:
         """Mean loss of the changes; as if nothing were explained where they do not follow."""
-        return self.events.loss_of_all if self.events is not None and self.events.follows else UNEXPLAINED
+        return self.events.loss_of_all if self.events is not None and self.follows else UNEXPLAINED
 
 
 def cases_of(recordings: Sequence[Recording], lights: Sequence[Light], stated: Mapping[str, str]) -> list[Case]:

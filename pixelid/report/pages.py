@@ -10,7 +10,7 @@ PAGES = (
     Page("calibration.json", "calibration.html", bench.summarise, bench.prepare),
     Page(
         "conform.json", "conform.html", conform.summarise, conform.prepare, like="gap"
-    ),  # before gap.json, which lies beside it
+    ),  # before gap.json, which lies in the same folder
     Page("gap.json", "gap.html", gap.summarise, gap.prepare),
     Page("fit.json", "fit.html", fits.summarise_fit, fits.prepare_fit),
     Page("lowlight.json", "lowlight.html", analyses.summarise_lowlight, analyses.prepare_lowlight),

@@ -411,7 +411,7 @@ def beside_shot_noise(complete, monkeypatch, left_alone, left_beside, p_beside):
 
 
 def looked_for_both_ways(state):
-    """Shot noise in place of the effects that were named, and beside them."""
+    """Shot noise in place of the effects that were named, and together with them."""
     trials = by_noise.Trial(None, 0), by_noise.Trial(state.hypothesis, len(state.steps))
     return by_noise.explain_by_shot_noise(state, trials, CONTEXT)
 
