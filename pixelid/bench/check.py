@@ -194,6 +194,9 @@ def _row(
         on_clock = aligned(recording, light, alignment.alignment)
     except InputError as error:
         return None, Row(name, events, pixels, summary, False, str(error))
+    if alignment.method == "inherited" and isinstance(on_clock.stimulus, Stimulus) and len(on_clock.events):
+        # when the camera stopped is not known: what it did not see after its last event says nothing
+        on_clock = replace(on_clock, stimulus=on_clock.stimulus.until(float(on_clock.events.t[-1])))
     inside = len(on_clock.events)
     if len(np.unique(on_clock.events.pixel)) == inside:
         why = "no pixel has two events within the light" if events else "no events"

@@ -190,6 +190,8 @@ def _digest(likelihood: EventTimes) -> bytes:
         hashed.update(b"factor" + np.ascontiguousarray(likelihood.threshold_factor).tobytes())
     if likelihood.shift is not None:
         hashed.update(b"shift" + likelihood.shift.change.tobytes() + likelihood.shift.slope.tobytes())
+    if likelihood.carried is not None:
+        hashed.update(b"carried" + likelihood.carried.by.tobytes() + likelihood.carried.level.tobytes())
     if likelihood.by_gain is not None:
         hashed.update(b"gains" + likelihood.by_gain.tobytes())
     return hashed.digest()

@@ -18,6 +18,7 @@ from pixelid.fit.data import stamps_weighed
 from pixelid.fit.engines import Engine
 from pixelid.fit.event_times import EventTimesObjective
 from pixelid.fit.newton import Optimum
+from pixelid.fit.open_coordinates import beyond_plateaus
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.recordings.own_light import with_fine_light
 from pixelid.recordings.recording import Recording
@@ -29,6 +30,7 @@ WORTH_A_PART = 4  # times as many events, from which the part costs less than th
 # Nats.  The log ratio of two likelihoods close to each other varies by twice its mean: 20 are three standard deviations
 # away from the other sign, and all events, of which the part is at most a quarter, say the same with more.
 DECIDED_NATS = 20.0
+TURNS, AT_REST = 6, 0.01  # at most, and what a turn may still move the optimum by: squared, in standard errors
 ROUGHLY = 1e-2  # nats, of optima that decide how light runs
 
 
@@ -85,12 +87,33 @@ def refine(
     between = _likeliest(ends)
     if len(ends) == len(BETWEEN):
         details = {"smooth_minus_linear_nats": _smooth_minus_linear(ends)}
-    objective, near = ends[between]
-    if objective.likelihood.is_uneven:
-        objective = objective.holding_gains(near.x)
-    optimum = maximiser.maximise(objective, near.x, max_steps=60)
+    objective, optimum = ends[between]
+    objective, optimum = _at_rest(objective, optimum, maximiser)
+    better = beyond_plateaus(objective, optimum)
+    if better is not None:
+        objective, optimum = _at_rest(objective, better, maximiser)
     report(1.0)
     return Refined(objective, optimum, between, details)
+
+
+def _at_rest(
+    objective: EventTimesObjective, optimum: Optimum, maximiser: Engine
+) -> tuple[EventTimesObjective, Optimum]:
+    """The optimum from one near it, with what stamps and gains add held where it is."""
+    for _ in range(TURNS):
+        before = optimum.x
+        objective = _held(objective, before)
+        optimum = maximiser.maximise(objective, before, max_steps=60)
+        went = optimum.x - before
+        if went @ optimum.local.information @ went < AT_REST:
+            break
+    return objective, optimum
+
+
+def _held(objective: EventTimesObjective, x: np.ndarray) -> EventTimesObjective:
+    """The objective with what the noise of stamps and the gains of pixels add to levels held as at x."""
+    objective = stamps_weighed(objective, x)
+    return objective.holding_gains(x) if objective.likelihood.is_uneven else objective
 
 
 Ends = dict[str, tuple[EventTimesObjective, Optimum]]
@@ -101,9 +124,7 @@ def _ends(recordings, coordinates: Coordinates, x, kinds, maximiser: Engine, set
     ends: Ends = {}
     for kind in kinds:
         likelihood = EventTimes([with_fine_light(recording, kind) for recording in recordings])
-        objective = stamps_weighed(EventTimesObjective(likelihood, coordinates), x)
-        if likelihood.is_uneven:  # what gains add is held near the optimum, and once more at it
-            objective = objective.holding_gains(x)
+        objective = _held(EventTimesObjective(likelihood, coordinates), x)
         ends[kind] = objective, maximiser.maximise(objective, x, max_steps=60, **settings)
         x = ends[kind][1].x
         done()

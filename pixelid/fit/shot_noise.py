@@ -36,6 +36,7 @@ from pixelid.model.model import Model
 from pixelid.parameters.parameter import Parameter, Prior
 
 EFFECT, DENSITY, NOISE = "shot_noise", "shot_noise.density", "threshold_sigma"
+JITTER = "timestamp_jitter.sigma_s"
 LEAST_GAIN = 3.0  # nats that a density must be worth: one coordinate gains 0.5 by chance, in one of 70 cases as much
 TURNS, AT_REST = 8, 0.3  # until the density's logarithm moves by less of its error
 PRIOR_DEGREES = 4.0  # of freedom that curvature lends to the variance of a few fits
@@ -157,7 +158,6 @@ def _fit(objective: EventTimesObjective, optimum: Optimum, model: Model, seed: i
     """As `fit_under_shot_noise`, of all coordinates of the objective."""
     coordinates, x = objective.coordinates, optimum.x
     parameter = model.parameters[DENSITY]
-    places = {name: k for k, name in enumerate(coordinates.names)}
     whole = coordinates.circuit(x).noise  # as all noise is the thresholds'
 
     def divided(at: np.ndarray) -> Division | None:
@@ -182,9 +182,8 @@ def _fit(objective: EventTimesObjective, optimum: Optimum, model: Model, seed: i
         before = density
         if found is not None:
             density, error = found.density, found.error
-            if NOISE in places and turns == 1:
-                x = x.copy()
-                x[places[NOISE]] += found.log_noise
+            if turns == 1:
+                x = with_division(coordinates, x, found)
         under, optimum = settled(x, density)
         x = optimum.x
         if turns > 1 and abs(math.log(density / before)) <= AT_REST * error:
@@ -242,6 +241,17 @@ def _simulated(
         off, np.where(known, np.sqrt(np.maximum(added, 0.0)), 0.0), float(np.mean(logs)),
         float(np.std(logs, ddof=1) / math.sqrt(len(logs))), expected,
     )  # fmt: skip
+
+
+def with_division(coordinates: Coordinates, x: np.ndarray, found: Division) -> np.ndarray:
+    """Coordinates x of a fit to which all noise is the thresholds', with the noise as the filter shares it out."""
+    x = x.copy()
+    for k, name in enumerate(coordinates.names):
+        if name == NOISE:
+            x[k] += found.log_noise
+        elif name == JITTER and found.jitter_s > 0.0:
+            x[k] = math.log(found.jitter_s)
+    return np.clip(x, *coordinates.bounds())
 
 
 def _named(coordinates: Coordinates, x: np.ndarray) -> dict[str, float]:

@@ -47,7 +47,7 @@ def trace_errors(
 
     def gradient(light: Sequence[Recording]) -> np.ndarray:
         likelihood = EventTimes([with_fine_light(recording, between) for recording in light])
-        likelihood.clock_share = objective.likelihood.clock_share
+        likelihood.clock_share, likelihood.carried = objective.likelihood.clock_share, objective.likelihood.carried
         return EventTimesObjective(likelihood, objective.coordinates, objective.off).gradient(x)
 
     rng, here = np.random.default_rng([seed, 41]), gradient(recordings)

@@ -20,17 +20,18 @@ from pixelid.likelihood.extremes import Extremes
 from pixelid.likelihood.layout import Layout, Shift, StackedChanges, flat_index, layout_of, read_only
 from pixelid.likelihood.light_between_samples import unknown_light
 from pixelid.likelihood.sections import sections_of
+from pixelid.likelihood.stamps import Bend, Carried, carried_over
 from pixelid.parallel import map_threads
 from pixelid.recordings.bench import gains_of_pixels
 from pixelid.recordings.events import COARSE_UNIT_SHARE, SHORT_QUANTILE
 from pixelid.recordings.recording import Recording
 from pixelid.stages.circuit import Circuit
+from pixelid.stages.comparator import memory_factor
 from pixelid.stimuli.stimulus import Stimulus
 
 BRIGHTER = 1e-3  # of ln light, to find how levels go with a pixel's gain: to first order, 0.1 % of a gain of 3 %
 UNEVEN = 0.03  # ln light, about what a field differs by: where the changes of a parabola are taken
 NUDGE_S = 1e-7  # of the release, to find how a level depends on it: 1e-3 of a dead time, 1e7 times a float's rounding
-MOST_CLOCK_SHARE = 100.0  # a level that falls ten times as fast by its reset as it rises: the light has all but turned
 MOST_REMEMBERED = 4_000_000  # samples of light in sections whose trajectories are remembered: 0.3 GB
 SAME = (1e-3, 1e-2, 5e-2)  # of an interval: equal to a stamp's jitter; stamps of a foreign clock may be blurred more
 LARGE = 60_000  # samples and events, a few milliseconds of work, from which handing it to other threads pays
@@ -49,6 +50,7 @@ class EventTimes:
         clock_share: (n,) how often timestamp noise counts, 1 until `weighed`.
         threshold_factor: (n,) what each event's threshold is multiplied by in addition to all that the circuit says,
             or None.
+        carried: What levels share with those of the events before, by the noise of stamps, or None.
         shift: What noise has added to the changes at events, or None.
         by_gain: What the gains of pixels add to changes where that is held, else None.
         unknown_light: What is not known of light that sensors measured themselves, None where there is none.
@@ -81,6 +83,7 @@ class EventTimes:
         self.clock_share = read_only(np.ones(self.events))
         self.threshold_factor: np.ndarray | None = None
         self.shift: Shift | None = None
+        self.carried: Carried | None = None
         self.by_gain: np.ndarray | None = None
         self._large = samples + self.events > LARGE
 
@@ -184,6 +187,8 @@ class EventTimes:
         if self.threshold_factor is not None:
             for row in changes.events.of_level:
                 row /= self.threshold_factor
+        if self.carried is not None:
+            self.carried.apply(changes)
         return changes
 
     def changes_of_one(self, circuit: Circuit, here: StackedChanges, recording: int) -> StackedChanges:
@@ -208,6 +213,8 @@ class EventTimes:
             mine = self.layout.recording == recording
             for row in changes.events.of_level:
                 row[mine] /= self.threshold_factor[mine]
+        if self.carried is not None:
+            self.carried.apply(changes, self.layout.recording == recording)
         return changes
 
     def _add_gains(
@@ -295,17 +302,48 @@ class EventTimes:
     def weighed(self, circuit: Circuit) -> EventTimes:
         """The same likelihood with timestamp noise counted twice: at the event, and at the reset before it.
 
-        The time of the reset is as uncertain as that of the event.  With g_k the rate at which level k falls as its
-        release moves, `clock_share` becomes q_k = 1 + (g_k/r_k)² under this circuit, at most `MOST_CLOCK_SHARE`.  Gains
-        of pixels are held too.
+        The time of the reset is as uncertain as that of the event, and what the event before says of it is taken from
+        the level (`stamps.py`).  All that is held as it is under this circuit, and gains of pixels are, too.
         """
-        other = self.with_gains_held(circuit)
+        other = self.with_single_stamps().with_gains_held(circuit)
         here = other.terms(circuit)
-        there = other.released_later(circuit, here)
-        told = (here.z != 0.0) & (there.z != 0.0)  # a level of 0: the circuit cannot have fired
-        moved = np.where(told, there.z - here.z, 0.0) / NUDGE_S
-        other.clock_share = read_only(1.0 + np.minimum((moved / here.event.rate) ** 2, MOST_CLOCK_SHARE - 1.0))
+        growth = 1.0 + circuit.threshold_drift * self.time_s
+        scale = self.sign / (growth * memory_factor(circuit.polarity_memory, self.layout.alike))
+        previous_s = np.concatenate([intervals.previous_s for intervals in self.intervals])
+        moved = other.moved_by_release(circuit, here)
+        carried, share = carried_over(here, moved, here.event.clock, scale, previous_s)
+        if carried is not None:
+            bend = other.bend(circuit, here, float(np.sqrt(here.event.clock.max())))
+            other.carried = carried.with_bend(here, moved, here.event.clock, bend)
+        other.clock_share = read_only(share)
         return other
+
+    def with_single_stamps(self) -> EventTimes:
+        """The same likelihood with timestamp noise counted at the event alone."""
+        other = copy(self)
+        other.carried, other.clock_share = None, read_only(np.ones(self.events))
+        return other
+
+    def moved_by_release(self, circuit: Circuit, here: Terms) -> np.ndarray:
+        """(n,) by how much levels rise, per second by which pixels are let go later;  here: `terms(circuit)`."""
+        there = self.released_later(circuit, here)
+        known = (here.z != 0.0) & (there.z != 0.0)  # a level of 0: the circuit cannot have fired
+        return np.where(known, there.z - here.z, 0.0) / NUDGE_S
+
+    def bend(self, circuit: Circuit, here: Terms, within_s: float) -> Bend:
+        """Second derivatives of levels by the times of events and resets, from levels so many seconds further and back;
+        here: `terms(circuit)`."""
+
+        def at(other: Circuit) -> Terms:
+            return self.terms(other, self.changes(other, here.changes))
+
+        released = [at(circuit.with_(refractory=circuit.refractory + by)) for by in (within_s, -within_s)]
+        all_later = [at(circuit.later_by(-by)) for by in (within_s, -within_s)]
+        known = np.logical_and.reduce([terms.z != 0.0 for terms in (here, *released, *all_later)])
+        reset = (released[0].z - 2.0 * here.z + released[1].z) / within_s**2
+        both = (released[0].event.rate - released[1].event.rate) / (2.0 * within_s)
+        event = (all_later[0].event.rate - all_later[1].event.rate) / (2.0 * within_s) - both
+        return Bend(*(np.where(known, derivative, 0.0) for derivative in (event, reset, both)))
 
     def with_gains_held(self, circuit: Circuit) -> EventTimes:
         """The same likelihood with what the gains of pixels add to changes as it is under a circuit, to second order.

@@ -7,16 +7,19 @@ event and, stored as the reference, in that of the next:
 
 with s_k the polarity and r_k stored at the amplifier's input.  Between events the stages are linear, with rates that
 follow the light: n has a state x, propagated exactly over steps of constant light, and the stored value is one more
-component.  Of this linear Gaussian system the filter (Kalman 1960, J. Basic Eng. 82, 35) gives mean and variance of
+component.  A stamp that is late by j_k adds r_k j_k to its own level and m_k j_k to the next, whose reference it moves;
+it is the last component.  Of this linear Gaussian system the filter (Kalman 1960, J. Basic Eng. 82, 35) gives mean and variance of
 each y_k, the events before it given, and so the likelihood of a density and a threshold noise.  Events are taken as
 levels at given times: that a noisy level is met early is left out here, and corrected by simulation where it is used.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +28,7 @@ from numba import njit
 from pixelid.dynamics.linear import has_pole, linear_stages, stationary_covariance
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.layout import Shift, read_only
+from pixelid.likelihood.stamps import MOST_SHARE
 from pixelid.parallel import map_threads
 from pixelid.stages.circuit import Circuit
 from pixelid.stages.comparator import memory_factor
@@ -39,8 +43,10 @@ MARGIN = 1e-3  # of log light, so that a constant one is a range
 BLOCKS = 12  # of 1, 2, 4, … steps of one light that are taken at once
 MOST_STEPS = 1.5e7  # of all pixels together, one and a half seconds of work a density
 OUTLIER = 5.0  # scales of the fit's residuals: events that something else made
-RATIOS = (1e-6, 1e6)  # of shot noise to threshold noise, variances, between which it is looked for
-TOLERANCE = 0.01  # of its logarithm
+RATIOS = (1e-6, 1e6)  # of shot noise to threshold noise, variances, between which it is looked for; of jitter, too
+TRIED = (1e-3, 0.1, 3.0)  # of them, from which the search begins
+TOLERANCE = 0.01  # of their logarithms, and of nats
+LEAST_CURVATURE = 1e-2  # of the log-likelihood by them: what events say nothing of is known to ten e-folds
 WIDTH = 0.1  # of the differences that its error is taken from
 LEAST_THRESHOLDS = 1e-3  # of the fit's noise variance: 3 % of the noise, less than any sensor's thresholds
 
@@ -55,6 +61,7 @@ class Division:
         error: Standard error of ln density, all else known.
         gain: Nats over a fit without shot noise.
         quiet: Variance of the level by shot noise of unit density, in the dimmest light.
+        jitter_s: Of stamps, beyond their unit; 0 where it was not free.
     """
 
     density: float
@@ -62,6 +69,7 @@ class Division:
     error: float
     gain: float
     quiet: float
+    jitter_s: float = 0.0
 
     @property
     def log_noise(self) -> float:
@@ -74,6 +82,8 @@ class Noise(NamedTuple):
 
     mean, variance: of −s (n(t) − n(r)), what the level must be more to reach its threshold
     slope, together, slope_variance: mean of the slope s ṅ(t), its covariance with the level's, and its variance
+    before: variance by the stamp of the event before, with twice its covariance with the noise
+    stamp: variance of the event's own stamp [s²]
     """
 
     mean: np.ndarray
@@ -81,6 +91,8 @@ class Noise(NamedTuple):
     slope: np.ndarray
     together: np.ndarray
     slope_variance: np.ndarray
+    before: np.ndarray
+    stamp: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -88,7 +100,9 @@ class _Chain:
     """Events of one pixel in one recording, in order: where in `steps` they and their references are.
 
     rows: (n,) which events of the likelihood they are
-    y, variance: (n,) as the fit has them;  sign: (n,);  usable: (n,) whether to learn from them
+    y, variance: (n,) as the fit has them, without what stamps add;  sign: (n,);  usable: (n,) whether to learn from them
+    rate, moved: (n,) by how much later stamps of the event and of the one before raise its level, per second
+    stamp: (n,) variance of stamps by their unit
     reference, event: (n,) number of steps before each
     light, until: (runs,) index of the tabulated light, and the step up to which it lasts
     """
@@ -98,6 +112,9 @@ class _Chain:
     variance: np.ndarray
     sign: np.ndarray
     usable: np.ndarray
+    rate: np.ndarray
+    moved: np.ndarray
+    stamp: np.ndarray
     reference: np.ndarray
     event: np.ndarray
     light: np.ndarray
@@ -108,11 +125,15 @@ class _Chain:
         """(runs,) how many steps each light lasts."""
         return np.diff(self.until, prepend=0)
 
-    def filtered(self, steps: _Steps, density: float) -> tuple[np.ndarray, np.ndarray]:
-        """((3,) Σ ln S, Σ r²/S and count, (n, 5) moments of `Noise`) with shot noise of a density."""
+    def filtered(self, steps: _Steps, density: float, jitter: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+        """((3,) Σ ln S, Σ r²/S and count, (n, 7) moments of `Noise`) with shot noise of a density.
+
+        jitter: variance of stamps beyond that by their unit [s²]
+        """
         moments = np.empty((len(self.y), len(Noise._fields)))
         sums = _filter(
-            self.y, self.variance, self.sign, self.usable, self.reference, self.event, self.light,
+            self.y, self.variance, self.sign, self.usable, self.rate, self.moved, self.stamp + jitter, self.reference,
+            self.event, self.light,
             self.until, steps.propagator, steps.added, steps.stationary, steps.slope, steps.stored, density, moments,
         )  # fmt: skip
         return np.array(sums), moments
@@ -131,18 +152,19 @@ class _Steps:
     stored: int
 
 
-def share_out(likelihood: EventTimes, circuit: Circuit, seed: int = 0) -> Division | None:
-    """Shot noise and threshold noise that make what events scatter by likeliest.
+def share_out(likelihood: EventTimes, circuit: Circuit, seed: int = 0, free_jitter: bool = False) -> Division | None:
+    """Shot noise, threshold noise and jitter of stamps that make what events scatter by likeliest.
 
     Args:
         likelihood: Of the events.
         circuit: As fitted to them.
         seed: Of the choice of pixels where all would take too long.
+        free_jitter: Whether stamps may jitter where those of the circuit do not.
 
     Returns:
         None where no event shows anything, or the circuit has no pole: white noise has no level there.
     """
-    from scipy.optimize import minimize_scalar
+    from scipy.optimize import minimize
 
     if not has_pole(circuit):
         return None
@@ -150,30 +172,82 @@ def share_out(likelihood: EventTimes, circuit: Circuit, seed: int = 0) -> Divisi
     chains = [chain for chain in chains if chain.usable.any()]
     if not chains:
         return None
+    shared = _Shared(chains, steps)
+    usual = shared.usual if free_jitter or circuit.jitter > 0.0 else shared.usual[:1]
+    starts = [usual + np.log(tried) for tried in itertools.product(TRIED, repeat=len(usual))]
+    start = max(starts, key=shared.value)
+    optimum = minimize(
+        lambda v: -shared.value(v), start, method="Nelder-Mead",
+        bounds=[tuple(at + np.log(RATIOS)) for at in usual],
+        options={"initial_simplex": [start, *(start + np.eye(len(start)))], "xatol": TOLERANCE, "fatol": TOLERANCE},
+    )  # fmt: skip
+    return shared.division(optimum.x)
 
-    def filtered(log_ratio: float) -> tuple[float, float]:
-        """(log-likelihood, factor of all variances that makes it largest)."""
-        sums = map_threads(lambda chain: chain.filtered(steps, math.exp(log_ratio))[0], chains)
+
+@dataclass(frozen=True)
+class _Shared:
+    """Noise of events shared out: coordinates (1,) or (2,) are ln of shot noise and jitter over threshold noise, whose
+    factor is the likeliest."""
+
+    chains: list[_Chain]
+    steps: _Steps
+
+    @cached_property
+    def usual(self) -> np.ndarray:
+        """(2,) coordinates at which either is about as large as threshold noise."""
+        of_shot = np.median([
+            np.average(self.steps.stationary[chain.light, -1, -1], weights=chain.steps_of_light)
+            for chain in self.chains
+        ])  # fmt: skip
+        of_stamps = np.median(np.concatenate([chain.rate[chain.usable] for chain in self.chains])) ** 2
+        thresholds = np.median(np.concatenate([chain.variance for chain in self.chains]))
+        return np.log(thresholds / np.array([of_shot, of_stamps]))
+
+    def value(self, v: Sequence[float]) -> float:
+        """Log-likelihood."""
+        return self._filtered(v)[0]
+
+    def _filtered(self, v: Sequence[float]) -> tuple[float, float]:
+        """(log-likelihood, likeliest factor of all variances)."""
+        density, jitter = math.exp(v[0]), math.exp(v[1]) if len(v) > 1 else 0.0
+        sums = map_threads(lambda chain: chain.filtered(self.steps, density, jitter)[0], self.chains)
         logs, squares, count = np.sum(sums, axis=0)
         scale = squares / count
         return -0.5 * (logs + count * (math.log(scale) + 1.0)), scale
 
-    bounds = (math.log(RATIOS[0]), math.log(RATIOS[1]))
-    usual = _usual_ratio(chains, steps)
-    low, high = bounds[0] - math.log(usual), bounds[1] - math.log(usual)
-    optimum = minimize_scalar(
-        lambda u: -filtered(u)[0], bounds=(low, high), method="bounded", options={"xatol": TOLERANCE}
-    )
-    at = float(optimum.x)
-    top, scale = filtered(at)
-    without = filtered(low)[0]
-    (less, scale_less), (more, scale_more) = filtered(at - WIDTH), filtered(at + WIDTH)
-    curvature = max((2.0 * top - less - more) / WIDTH**2, 1e-12)
-    moved = 1.0 + math.log(scale_more / scale_less) / (2.0 * WIDTH)  # d ln density / d ln ratio
-    events = sum(int(chain.usable.sum()) for chain in chains)
-    error = math.sqrt(moved**2 / curvature + 2.0 / events)
-    dimmest = steps.stationary[min(int(chain.light.min()) for chain in chains)][-1, -1]
-    return Division(scale * math.exp(at), scale, error, top - without, float(dimmest))
+    def division(self, v: np.ndarray) -> Division:
+        """At the optimum v."""
+        d = len(v)
+        top, scale = self._filtered(v)
+        steps = WIDTH * np.eye(d)
+        up, down = ([self._filtered(v + sign * step) for step in steps] for sign in (1.0, -1.0))
+        curvature = np.diag([2.0 * top - more[0] - less[0] for more, less in zip(up, down, strict=True)])
+        if d > 1:
+            curvature[0, 1] = curvature[1, 0] = up[0][0] + up[1][0] - top - self.value(v + steps.sum(axis=0))
+        curvature = curvature / WIDTH**2 + LEAST_CURVATURE * np.eye(d)
+        moved = np.array([math.log(more[1] / less[1]) for more, less in zip(up, down, strict=True)]) / (2.0 * WIDTH)
+        moved[0] += 1.0  # ln density = v_0 + ln factor
+        events = sum(int(chain.usable.sum()) for chain in self.chains)
+        variance = moved @ np.linalg.pinv(curvature, hermitian=True) @ moved + 2.0 / events
+        dimmest = self.steps.stationary[min(int(chain.light.min()) for chain in self.chains)][-1, -1]
+        return Division(
+            density=scale * math.exp(v[0]), thresholds=scale, error=math.sqrt(max(variance, 2.0 / events)),
+            gain=top - self._without(v), quiet=float(dimmest),
+            jitter_s=math.sqrt(scale * math.exp(v[1])) if d > 1 else 0.0,
+        )  # fmt: skip
+
+    def _without(self, v: np.ndarray) -> float:
+        """Log-likelihood without shot noise to speak of, jitter the likeliest then."""
+        from scipy.optimize import minimize_scalar
+
+        none, (_, jitter) = self.usual[0] + math.log(RATIOS[0]), self.usual
+        if len(v) == 1:
+            return self.value([none])
+        found = minimize_scalar(
+            lambda at: -self.value([none, at]), bounds=tuple(jitter + np.log(RATIOS)), method="bounded",
+            options={"xatol": TOLERANCE},
+        )  # fmt: skip
+        return -float(found.fun)
 
 
 def noise_of(likelihood: EventTimes, circuit: Circuit) -> Noise:
@@ -181,7 +255,9 @@ def noise_of(likelihood: EventTimes, circuit: Circuit) -> Noise:
     moments = np.zeros((likelihood.events, len(Noise._fields)))
     chains, steps = _chains(likelihood, circuit, True, 0)
     for chain, (_, some) in zip(
-        chains, map_threads(lambda chain: chain.filtered(steps, circuit.shot_density), chains), strict=True
+        chains,
+        map_threads(lambda chain: chain.filtered(steps, circuit.shot_density, circuit.jitter**2), chains),
+        strict=True,
     ):
         moments[chain.rows] = some
     return Noise(*moments.T)
@@ -202,13 +278,18 @@ def under_shot_noise(likelihood: EventTimes, circuit: Circuit) -> EventTimes:
     """
     from scipy.special import ndtr
 
+    likelihood = likelihood.with_single_stamps()
     noise, terms = noise_of(likelihood, circuit), likelihood.terms(circuit)
     threshold = terms.group_mean[likelihood.group]
-    total = noise.variance + (circuit.noise * threshold) ** 2
+    rate = likelihood.sign * terms.changes.events.slope
+    by_stamp = terms.event.rate**2 * noise.stamp
+    # what the stamp before adds counts as the event's own, as far as it adds
+    share = np.clip(noise.before / by_stamp, 0.0, MOST_SHARE - 1.0)
+    added = noise.variance + noise.before - share * by_stamp
+    total = added + (1.0 + share) * by_stamp + (circuit.noise * threshold) ** 2
     factor = memory_factor(circuit.polarity_memory, likelihood.layout.alike)
     missed = factor * (terms.z - threshold) - noise.mean
     told = ~terms.at_once & (np.abs(missed) < OUTLIER * np.sqrt(total))
-    rate = likelihood.sign * terms.changes.events.slope
     slope = rate + noise.slope + np.where(told, noise.together / total * missed, 0.0)
     spread = np.sqrt(np.maximum(noise.slope_variance - noise.together**2 / total, 1e-12))
     x = np.maximum(slope / spread, SLOWEST)
@@ -218,24 +299,22 @@ def under_shot_noise(likelihood: EventTimes, circuit: Circuit) -> EventTimes:
     further = np.clip(noise.mean + noise.together * met, -MOST_MOVED * threshold, MOST_MOVED * threshold)
     usual = np.full(likelihood.layout.ends, noise.variance.mean())
     at = likelihood.layout
-    both = ((at.light, noise.variance), (at.light_reset, noise.variance), (at.light_last, usual))
+    both = ((at.light, added), (at.light_reset, noise.variance), (at.light_last, usual))
     light, reset, last = (read_only(known + added if len(known) else added) for known, added in both)
     layout = replace(at, light=light, light_reset=reset, light_last=last)
-    return likelihood.with_shift(Shift(read_only(-further), read_only(speed - rate)), layout)
-
-
-def _usual_ratio(chains: list[_Chain], steps: _Steps) -> float:
-    """Variance of shot noise of unit density over that of thresholds, about."""
-    noise = np.median([
-        np.average(steps.stationary[chain.light, -1, -1], weights=chain.steps_of_light) for chain in chains
-    ])  # fmt: skip
-    return float(noise / np.median(np.concatenate([chain.variance for chain in chains])))
+    shifted = likelihood.with_shift(Shift(read_only(-further), read_only(speed - rate)), layout)
+    shifted.clock_share = read_only(1.0 + share)
+    return shifted
 
 
 def _chains(likelihood: EventTimes, circuit: Circuit, every: bool, seed: int) -> tuple[list[_Chain], _Steps]:
     """The chains of events, and the steps between them."""
+    likelihood = likelihood.with_single_stamps()
     terms = likelihood.terms(circuit)
-    y = terms.z - terms.group_mean[likelihood.group]
+    y, rate = terms.z - terms.group_mean[likelihood.group], terms.event.rate
+    moved = likelihood.moved_by_release(circuit, terms)
+    stamp = terms.event.clock - circuit.jitter**2
+    variance = np.maximum(terms.scale**2 - rate**2 * terms.event.clock, 0.0)
     usable = ~(terms.background | terms.at_once) & (np.abs(y) < OUTLIER * terms.scale)
     seen = [r.stimulus for r in likelihood.recordings if r.stimulus is not None]
     lights = [np.log(np.exp(_range(light)) + circuit.dark) for light in seen]
@@ -265,8 +344,8 @@ def _chains(likelihood: EventTimes, circuit: Circuit, every: bool, seed: int) ->
         event = np.clip((time[rows] - start) / step_s, 0, runs[1][-1]).astype(np.int64)
         reference = np.clip((previous[rows] + circuit.refractory - start) / step_s, 0, event).astype(np.int64)
         chain = _Chain(
-            rows, y[rows], terms.scale[rows] ** 2, likelihood.sign[rows].astype(float), usable[rows], reference, event,
-            *runs,
+            rows, y[rows], variance[rows], likelihood.sign[rows].astype(float), usable[rows], rate[rows], moved[rows],
+            stamp[rows], reference, event, *runs,
         )  # fmt: skip
         chains.append(chain)
     return chains, steps
@@ -330,18 +409,19 @@ def _doubled(propagator: np.ndarray, added: np.ndarray) -> tuple[np.ndarray, np.
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _filter(
-    y, variance, sign, usable, reference, event, light, lasts, propagator, added, stationary, slope, stored, density,
+    y, variance, sign, usable, rate, moved_by, stamp, reference, event, light, lasts, propagator, added, stationary, slope, stored, density,
     moments,
 ):  # fmt: skip
-    """(Σ ln S, Σ r²/S, count) of the innovations r of one chain and their variances S; fills `moments` (n, 5).
+    """(Σ ln S, Σ r²/S, count) of the innovations r of one chain and their variances S; fills `moments` (n, 7).
 
-    The state is that of the stages and, last, the stored reference.
+    The state is that of the stages, the stored reference and, last, what the stamp before is late by.
     """
     blocks, n = propagator.shape[0], propagator.shape[2]
-    x, moved = np.zeros(n + 1), np.zeros(n)
-    P, half = np.zeros((n + 1, n + 1)), np.zeros((n, n))
+    x, moved = np.zeros(n + 2), np.zeros(n)
+    P, half = np.zeros((n + 2, n + 2)), np.zeros((n, n))
     P[:n, :n] = stationary[light[0]] * density
-    gain = np.zeros(n + 1)
+    P[n + 1, n + 1] = stamp[0]
+    gain = np.zeros(n + 2)
     logs, squares, count, step, run = 0.0, 0.0, 0, 0, 0
     for k in range(len(y)):
         for stop in range(2):
@@ -358,17 +438,20 @@ def _filter(
                     moved[i] = total
                 for i in range(n):
                     x[i] = moved[i]
-                    total = 0.0
-                    for j in range(n):
-                        total += E[i, j] * P[j, n]
-                    moved[i] = total
                     for j in range(n):
                         total = 0.0
                         for m in range(n):
                             total += E[i, m] * P[m, j]
                         half[i, j] = total
+                for late in range(n, n + 2):
+                    for i in range(n):
+                        total = 0.0
+                        for j in range(n):
+                            total += E[i, j] * P[j, late]
+                        moved[i] = total
+                    for i in range(n):
+                        P[i, late] = P[late, i] = moved[i]
                 for i in range(n):
-                    P[i, n] = P[n, i] = moved[i]
                     for j in range(n):
                         total = Q[i, j] * density
                         for m in range(n):
@@ -379,13 +462,18 @@ def _filter(
                     run += 1
             if stop == 0:
                 x[n] = x[stored]
-                for j in range(n):
+                for j in range(n + 2):
                     P[n, j] = P[j, n] = P[stored, j]
                 P[n, n] = P[stored, stored]
         along = slope[light[run]]
-        for i in range(n + 1):
+        late = moved_by[k]
+        for i in range(n + 2):
             gain[i] = -sign[k] * (P[i, n - 1] - P[i, n])
-        mean, own = -sign[k] * (x[n - 1] - x[n]), -sign[k] * (gain[n - 1] - gain[n])
+        own = -sign[k] * (gain[n - 1] - gain[n])
+        before = 2.0 * late * gain[n + 1] + late * late * P[n + 1, n + 1]
+        for i in range(n + 2):
+            gain[i] += late * P[i, n + 1]
+        mean = -sign[k] * (x[n - 1] - x[n]) + late * x[n + 1]
         drift, together, scatter = 0.0, 0.0, 0.0
         for i in range(n):
             drift += sign[k] * along[i] * x[i]
@@ -394,14 +482,23 @@ def _filter(
                 scatter += along[i] * along[j] * P[i, j]
         moments[k, 0], moments[k, 1] = mean, own
         moments[k, 2], moments[k, 3], moments[k, 4] = drift, together, scatter
-        if not usable[k]:
-            continue
-        S, r = own + variance[k], y[k] - mean
-        logs += math.log(S)
-        squares += r * r / S
-        count += 1
-        for i in range(n + 1):
-            x[i] += gain[i] * r / S
-            for j in range(n + 1):
-                P[i, j] -= gain[i] * gain[j] / S
+        moments[k, 5], moments[k, 6] = before, stamp[k]
+        own_stamp = rate[k] * stamp[k]
+        if usable[k]:
+            S, r = own + before + variance[k] + rate[k] * own_stamp, y[k] - mean
+            logs += math.log(S)
+            squares += r * r / S
+            count += 1
+            for i in range(n + 1):
+                x[i] += gain[i] * r / S
+                for j in range(n + 1):
+                    P[i, j] -= gain[i] * gain[j] / S
+                P[i, n + 1] = P[n + 1, i] = -gain[i] * own_stamp / S
+            x[n + 1] = own_stamp * r / S
+            P[n + 1, n + 1] = stamp[k] - own_stamp * own_stamp / S
+        else:
+            x[n + 1] = 0.0
+            for i in range(n + 1):
+                P[i, n + 1] = P[n + 1, i] = 0.0
+            P[n + 1, n + 1] = stamp[k]
     return logs, squares, float(count)

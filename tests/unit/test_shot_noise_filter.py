@@ -53,6 +53,7 @@ def test_the_filter_is_dense_gaussian_algebra():
     sign = rng.choice([-1.0, 1.0], n)
     variance, ratio = rng.uniform(0.5, 2.0, n) * 1e-3, 2e-4
     y = 0.05 * rng.standard_normal(n)
+    rate, moved, stamp = rng.uniform(10.0, 80.0, n), rng.uniform(-90.0, 10.0, n), rng.uniform(0.1, 1.0, n) * 1e-6
 
     def covariance(i, first, j, second):
         """Of the component i at one step with j at another."""
@@ -67,12 +68,27 @@ def test_the_filter_is_dense_gaussian_algebra():
                 - covariance(stored, reference[k], out, event[m])
                 + covariance(stored, reference[k], stored, reference[m])
             )  # fmt: skip
-    S += np.diag(variance)
+    late = np.diag(rate) + np.diag(moved[1:], -1)  # of each stamp, in its own level and the next
+    first = np.append(stamp[0] * moved[0] ** 2, np.zeros(n - 1))  # the stamp before the first event
+    S += np.diag(variance + first) + late @ np.diag(stamp) @ late.T
     E = expm(A * step)
     light = (np.zeros(2, np.int16), np.array([event[5] + 7, event[-1] + 1]))  # the same one twice
     still = (*_doubled(E[None], (P - E @ P @ E.T)[None]), P[None], A[-1][None])
     logs, squares, count = _filter(
-        y, variance, sign, np.ones(n, bool), reference, event, *light, *still, stored, ratio, np.empty((n, 5))
+        y,
+        variance,
+        sign,
+        np.ones(n, bool),
+        rate,
+        moved,
+        stamp,
+        reference,
+        event,
+        *light,
+        *still,
+        stored,
+        ratio,
+        np.empty((n, 7)),
     )
     assert count == n
     assert logs == pytest.approx(np.linalg.slogdet(S)[1], rel=1e-9)
@@ -86,9 +102,9 @@ def test_moments_are_those_of_dense_gaussian_algebra():
     P = stationary_covariance(A, drive) * 0.5 / 24.0
     E, density, variance = expm(A * step), 2e-4, np.array([1e-3, 1.0])
     event, reference, y = np.array([50, 90]), np.array([0, 55]), np.array([0.03, 0.0])
-    moments = np.empty((2, 5))
+    moments = np.empty((2, 7))
     _filter(
-        y, variance, np.ones(2), np.ones(2, bool), reference, event, np.zeros(1, np.int16), np.array([91]),
+        y, variance, np.ones(2), np.ones(2, bool), *np.zeros((3, 2)), reference, event, np.zeros(1, np.int16), np.array([91]),
         *_doubled(E[None], (P - E @ P @ E.T)[None]), P[None], A[-1][None], stored, density, moments,
     )  # fmt: skip
     # states at steps 0, 50, 55, 90 together
@@ -106,7 +122,7 @@ def test_moments_are_those_of_dense_gaussian_algebra():
     after = joint - np.outer(gain, first @ joint)
     expected = [second @ gain * y[0], second @ after @ second, slope @ gain * y[0], slope @ after @ second,
                 slope @ after @ slope]  # fmt: skip
-    np.testing.assert_allclose(moments[1], expected, rtol=1e-8)
+    np.testing.assert_allclose(moments[1], [*expected, 0.0, 0.0], rtol=1e-8)
 
 
 def test_light_that_changes_is_followed_from_step_to_step():
@@ -133,8 +149,8 @@ def test_light_that_changes_is_followed_from_step_to_step():
     S = rows @ joint @ rows.T + np.diag(variance)
     slope = np.zeros((2, n))
     logs, squares, _ = _filter(
-        y, variance, sign, np.ones(4, bool), reference, event, np.array([0, 1, 0], np.int16), np.array([9, 23, 40]),
-        *_doubled(E, Q), P, slope, stored, density, np.empty((4, 5)),
+        y, variance, sign, np.ones(4, bool), *np.zeros((3, 4)), reference, event, np.array([0, 1, 0], np.int16), np.array([9, 23, 40]),
+        *_doubled(E, Q), P, slope, stored, density, np.empty((4, 7)),
     )  # fmt: skip
     assert logs == pytest.approx(np.linalg.slogdet(S)[1], rel=1e-9)
     assert squares == pytest.approx(y @ np.linalg.solve(S, y), rel=1e-9)

@@ -100,6 +100,8 @@ def freeze(objective: EventTimesObjective, x: np.ndarray) -> Frozen:
         raise InputError("light of each pixel's own: not in the symbolic form of the likelihood; use its compiled form")
     if likelihood.is_uneven:
         raise InputError("an uneven field: not in the symbolic form of the likelihood; use its compiled form")
+    if likelihood.carried is not None:
+        raise InputError("jitter of stamps: not in the symbolic form of the likelihood; use its compiled form")
     own = {name for _, numbers in circuit.of_recordings for name, _ in numbers}
     if own - {"delay"}:
         raise InputError("numbers of one recording: not in the symbolic form of the likelihood; use its compiled form")

@@ -88,7 +88,8 @@ class LevelledObjective(EventTimesObjective):
     def weighed(self, x: np.ndarray) -> LevelledObjective:
         """The same with timestamp noise counted as at x (`EventTimes.weighed`)."""
         likelihood = copy(self.likelihood)
-        likelihood.clock_share = self.at(x).weighed(self.coordinates.circuit(x)).clock_share
+        weighed = self.at(x).weighed(self.coordinates.circuit(x))
+        likelihood.clock_share, likelihood.carried = weighed.clock_share, weighed.carried
         return LevelledObjective(likelihood, self.coordinates, self.scales, self.best(x).u, self.tilt)
 
     def best(self, x: np.ndarray) -> At:

@@ -27,6 +27,7 @@ SCREEN_EVENTS = 6_000  # of the pixels that a first search looks at: thresholds 
 NOISE, DEAD_TIME = "threshold_sigma", "refractory_s"
 FAR_DEAD_TIME = 4.0  # times the shipped one, from which a fit does not find it: the density barely feels it so far out
 MAX_NOISE_FACTOR = 2.0  # of the shipped noise, in a start: pixels of one kind differ by less
+TURNS, AT_REST = 5, 0.05  # at most, and what a turn may still move a fit by: squared, in standard errors
 RANDOM_STARTS = 3  # beside the nominal values, where a base fit leaves events without a cause
 # Only those go on that lead after so many of their 40 steps.  All went on in 32 sessions of
 # `benchmarks/gap_combinations.py`: in five some ended better than the base fit, by 26 to 600 nats, and in each of
@@ -114,6 +115,26 @@ def fit_base_roughly(
     again."""
     evidence = gather_evidence(recordings, split, model, BETWEEN_SAMPLES[0], seed)
     return evidence, _screened(evidence.screening, evidence.nominal, model, cache, Work())
+
+
+def at_rest(
+    evidence: PixelEvidence, fit: Maximum, fitted: Callable[[PixelEvidence, Model], Maximum]
+) -> tuple[PixelEvidence, Maximum]:
+    """(the evidence weighed where its fit is, that fit): a circuit weighs stamps, and what fits them moves by that.
+
+    Args:
+        evidence: Weighed by some circuit.
+        fit: To it.
+        fitted: A fit from a model.
+    """
+    for _ in range(TURNS):
+        before = fit.x
+        evidence = evidence.weighed(fit.model.circuit())
+        fit = fitted(evidence, fit.model)
+        went = fit.x - before
+        if went @ fit.information @ went < AT_REST:
+            break
+    return evidence, fit
 
 
 def is_noisy(model: Model, shipped: Model) -> bool:

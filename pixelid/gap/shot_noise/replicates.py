@@ -104,7 +104,7 @@ def make_replicate(
         again = maximise(likelihood, start, tolerance=0.05, max_steps=40, cache=cache)
         refit = again if again.value > refit.value else refit
     left = diagnose(likelihood, refit, criteria, seed, background_fraction=None, like=seen.factors)
-    division = share_out(likelihood, refit.model.circuit(), seed) or NOTHING_TOLD
+    division = share_out(likelihood, refit.model.circuit(), seed, free_jitter=True) or NOTHING_TOLD
     background = background_by_polarity(likelihood, left.residual.background)
     return Replicate(refit.x, left.maps.scores, background, division)
 

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from pixelid.fit.maximise import Maximum
-from pixelid.fit.shot_noise import DENSITY, EFFECT, NOISE, OTHER_PARAMETERS
+from pixelid.fit.shot_noise import DENSITY, EFFECT, NOISE, OTHER_PARAMETERS, with_division
 from pixelid.gap.shot_noise.replicates import MAX_SHIFT, Replicate, moderated, variance_said, well_known
 from pixelid.likelihood.shot_noise import LEAST_THRESHOLDS, Division
 from pixelid.model.model import Model
@@ -53,9 +53,7 @@ class Guess:
     @classmethod
     def first(cls, fit: Maximum, found: Division) -> Guess:
         """As the filter has it."""
-        x = fit.x.copy()
-        x[_noise_index(fit)] += found.log_noise
-        return cls(fit, found, x, found.density)
+        return cls(fit, found, with_division(fit.coordinates, fit.x, found), found.density)
 
     @property
     def is_told(self) -> bool:

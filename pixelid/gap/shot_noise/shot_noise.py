@@ -92,7 +92,7 @@ def noise_explains_more(evidence: PixelEvidence, model: Model, gain: float, opti
     """
     if EFFECT in options.leave_out or model.has(EFFECT):
         return False
-    beside = share_out(evidence.training, model.circuit(), options.seed)
+    beside = share_out(evidence.training, model.circuit(), options.seed, free_jitter=True)
     return beside is not None and beside.gain > max(gain, options.criteria.min_shot_noise_gain_nats)
 
 
@@ -116,7 +116,7 @@ def find_shot_noise(
     if NOISE not in fit.coordinates.names or not can_be_simulated(evidence.training.recordings, fit.model):
         return None
     criteria = options.criteria
-    found = share_out(evidence.training, fit.model.circuit(), options.seed)
+    found = share_out(evidence.training, fit.model.circuit(), options.seed, free_jitter=True)
     if found is None or found.gain < criteria.min_shot_noise_gain_nats:
         return None
 

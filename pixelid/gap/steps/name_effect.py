@@ -22,7 +22,7 @@ from pixelid.gap.attribute.pixels import candidates_of, slewing_both_ways
 from pixelid.gap.attribute.significance import leads
 from pixelid.gap.describe.describe import describes_better
 from pixelid.gap.detect.diagnostics import diagnose
-from pixelid.gap.detect.pixels import DEAD_TIME, NOISE, PixelEvidence, is_noisy, reconsider_stimuli, relative_noise
+from pixelid.gap.detect.pixels import DEAD_TIME, NOISE, PixelEvidence, at_rest, is_noisy, reconsider_stimuli, relative_noise
 from pixelid.gap.detect.words import where
 from pixelid.gap.imputation.exact import LOST, loses_where_times_are_exact
 from pixelid.gap.imputation.impute import (
@@ -188,10 +188,12 @@ def grown_by(state: State, winner: Candidate[Maximum], evidence: PixelEvidence, 
     start = replace(hypothesis.start.with_effect(winner.effect), nuisances=winner.end.model.nuisances)
     model = canonical(winner.end.model, state.model)
 
-    def fitted(origin: Model) -> Maximum:
-        return maximise_with_restarts(evidence.training, origin, start, tolerance=0.01, max_steps=40, cache=cache)
+    def fitted(origin: Model, seen: PixelEvidence = evidence) -> Maximum:
+        return maximise_with_restarts(seen.training, origin, start, tolerance=0.01, max_steps=40, cache=cache)
 
     fit = fitted(model)
+    if fit.model.has(JITTER):
+        evidence, fit = at_rest(evidence, fit, lambda seen, origin: fitted(origin, seen))
     if winner.effect == SLEW:  # few pixels may not reach the limit of one side
         fit = slewing_both_ways(evidence.training, fit, fitted)
     state, fit, start = _pruned(state, winner, evidence, fit, start, context)
@@ -199,7 +201,7 @@ def grown_by(state: State, winner: Candidate[Maximum], evidence: PixelEvidence, 
         imputation, model = impute_with_effect(state.imputation, fit.model, options, cache)
         lost = state.lost + imputation.lost[len(state.imputation.lost) :]
         return at_times_anew(replace(state, imputation=imputation, lost=lost), model, start, context)
-    weights = hypothesis.fit.model.circuit()
+    weights = (fit if fit.model.has(JITTER) else hypothesis.fit).model.circuit()
     evidence, fit = reconsider_stimuli(evidence, hypothesis.recordings, state.model, fit, weights, options.seed, cache)
     allowed = None if state.undone else options.criteria.max_unexplained_fraction
     seen = diagnose(evidence.training, fit, options.criteria, options.seed, background_fraction=allowed)

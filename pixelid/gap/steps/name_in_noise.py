@@ -33,7 +33,7 @@ def named_in_noise(state: State, context: Context) -> State | None:
         hypothesis, options = state.hypothesis, context.options
         if NOISE not in hypothesis.fit.coordinates.names:
             return None
-        found = share_out(hypothesis.evidence.training, hypothesis.fit.model.circuit(), options.seed)
+        found = share_out(hypothesis.evidence.training, hypothesis.fit.model.circuit(), options.seed, free_jitter=True)
         if found is None or found.gain < options.criteria.min_shot_noise_gain_nats:
             return state if state is not first else None
         grown = _one_more(state, Guess.first(hypothesis.fit, found), context)
