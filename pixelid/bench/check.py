@@ -196,7 +196,7 @@ def _row(
         return None, Row(name, events, pixels, summary, False, str(error))
     if alignment.method == "inherited" and isinstance(on_clock.stimulus, Stimulus) and len(on_clock.events):
         # when the camera stopped is not known: what it did not see after its last event says nothing
-        on_clock = replace(on_clock, stimulus=on_clock.stimulus.until(float(on_clock.events.t[-1])))
+        on_clock = replace(on_clock, stimulus=on_clock.stimulus.until(1e-9 * (float(on_clock.events.t[-1]) + 1.0)))
     inside = len(on_clock.events)
     if len(np.unique(on_clock.events.pixel)) == inside:
         why = "no pixel has two events within the light" if events else "no events"

@@ -40,7 +40,10 @@ JITTER = "timestamp_jitter.sigma_s"
 LEAST_GAIN = 3.0  # nats that a density must be worth: one coordinate gains 0.5 by chance, in one of 70 cases as much
 TURNS, AT_REST = 8, 0.3  # until the density's logarithm moves by less of its error
 PRIOR_DEGREES = 4.0  # of freedom that curvature lends to the variance of a few fits
-MAX_SHIFT = 0.3  # of a coordinate that is put right: what scatters by half of it the events do not hold
+MAX_SHIFT = 1.0  # of a coordinate that is put right
+HELD = 0.15  # of a coordinate: what fits scatter by more the events do not hold
+MOST_STEPS = 3  # sets of simulated sessions, each from where the one before led
+LEAST_ANSWER = 0.25  # of a step, by which fits answer it
 CORRECTION_ERROR = 0.3  # of what simulated sessions put right: they are of a circuit that is a little off itself
 REPLICATES, MOST_PIXELS = 3, 16  # simulated sessions, and their pixels
 OTHER_PARAMETERS = 1.3  # times the error of a density found with all else known
@@ -95,17 +98,36 @@ class HeldBench:
 class _Simulated:
     """What sessions simulated from a fit show.
 
-    off: (d,) by how much their fits are off what they were simulated with, in the mean
+    at: (d,) what they were simulated with
+    off: (d,) by how much their fits are off that, in the mean
     added_sd: (d,) its error, and what their fits scatter by beyond what curvature says
     log_density, density_error: the mean, and its error, of the density as the filter has it
     expected: as of `UnderNoise`
+    longer: (d,) by how many times a step of fits is one of what they are fitted to
     """
 
+    at: np.ndarray
     off: np.ndarray
     added_sd: np.ndarray
     log_density: float
     density_error: float
     expected: dict[str, float]
+    longer: np.ndarray | float = 1.0
+
+    def after(self, before: _Simulated, variance: np.ndarray) -> _Simulated:
+        """The same where sessions simulated elsewhere led here.
+
+        What put this right errs by what the step has changed, no longer by all of it; and where fits answer a step by
+        less than its length, an error of theirs is that of a longer step.
+
+        variance: (d,) of the fit to the events measured
+        """
+        step, changed = self.at - before.at, self.off - before.off
+        answer = np.where(np.abs(step) > np.sqrt(variance), 1.0 + changed / np.where(step == 0.0, 1.0, step), 1.0)
+        longer = np.maximum(self.longer, np.maximum(before.longer, 1.0 / np.clip(answer, LEAST_ANSWER, 1.0)))
+        less = self.added_sd**2 - (CORRECTION_ERROR * self.off) ** 2 + (CORRECTION_ERROR * changed) ** 2
+        added = np.where(self.off != 0.0, less + variance * (longer**2 - 1.0), self.added_sd**2)
+        return replace(self, added_sd=np.sqrt(np.maximum(added, 0.0)), longer=longer)
 
 
 def without_density(model: Model) -> Model:
@@ -191,7 +213,7 @@ def _fit(objective: EventTimesObjective, optimum: Optimum, model: Model, seed: i
         found = divided(x) if parameter.free else None
     details |= {"gain_nats": None if found is None else float(found.gain), "turns": turns}
     if found is not None:
-        shown = _simulated(objective, x, density, whole, seed)
+        shown = _simulated_where_it_leads(objective, optimum, density, whole, seed)
         error *= OTHER_PARAMETERS
         if shown is not None:
             density *= math.exp(-shown.log_density)
@@ -203,6 +225,27 @@ def _fit(objective: EventTimesObjective, optimum: Optimum, model: Model, seed: i
         if shown is not None:
             return _put_right(objective, optimum, shown, model, density, error, details)
     return _with_density(under, optimum, model, density, error, details)
+
+
+def _simulated_where_it_leads(
+    objective: EventTimesObjective, optimum: Optimum, density: float, whole: float, seed: int
+) -> _Simulated | None:
+    """What sessions show that are simulated from where putting an optimum right by them leads: first from the optimum,
+    and from where those led, until that is where they were simulated."""
+    variance = np.maximum(np.diag(np.linalg.pinv(optimum.local.information, hermitian=True)), 0.0)
+    shown = _simulated(objective, optimum.x, density, whole, seed)
+    for _ in range(MOST_STEPS - 1):
+        if shown is None:
+            break
+        there = np.clip(optimum.x - shown.off, *objective.coordinates.bounds())
+        error = np.sqrt(variance + shown.added_sd**2)
+        if np.all(np.abs(there - shown.at)[shown.off != 0.0] < AT_REST * error[shown.off != 0.0]):
+            break
+        after = _simulated(objective, there, density * math.exp(-shown.log_density), whole, seed)
+        if after is None:
+            break
+        shown = after.after(shown, variance)
+    return shown
 
 
 def _simulated(
@@ -232,13 +275,13 @@ def _simulated(
     told = np.mean([np.diag(np.linalg.pinv(end.local.information)) for end in ends], axis=0)
     degrees = len(ends) - 1
     variance = (PRIOR_DEGREES * told + degrees * off.var(axis=0, ddof=1)) / (PRIOR_DEGREES + degrees)
-    known = ~of_bench & (variance > 0.0) & (variance < (MAX_SHIFT / 2.0) ** 2)
+    known = ~of_bench & (variance > 0.0) & (variance < HELD**2)
     off = np.where(known, off.mean(axis=0), 0.0)
     added = variance / len(ends) + np.maximum(variance - told, 0.0) + (CORRECTION_ERROR * off) ** 2
     covariates = set.intersection(*map(set, shares)) if shares else set()
     expected = {name: _high([each[name] for each in shares]) for name in sorted(covariates)}
     return _Simulated(
-        off, np.where(known, np.sqrt(np.maximum(added, 0.0)), 0.0), float(np.mean(logs)),
+        x, off, np.where(known, np.sqrt(np.maximum(added, 0.0)), 0.0), float(np.mean(logs)),
         float(np.std(logs, ddof=1) / math.sqrt(len(logs))), expected,
     )  # fmt: skip
 

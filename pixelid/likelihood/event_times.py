@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from copy import copy
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -306,17 +307,28 @@ class EventTimes:
         the level (`stamps.py`).  All that is held as it is under this circuit, and gains of pixels are, too.
         """
         other = self.with_single_stamps().with_gains_held(circuit)
-        here = other.terms(circuit)
+        other.carried, share = other.shared_by_stamps(circuit, other.terms(circuit))
+        other.clock_share = read_only(share)
+        return other
+
+    def shared_by_stamps(
+        self, circuit: Circuit, here: Terms, added: np.ndarray | None = None, levels: np.ndarray | None = None
+    ) -> tuple[Carried | None, np.ndarray]:
+        """What levels share by the noise of stamps, as of `stamps.carried_over`;  here: `terms(circuit)`.
+
+        added: (n,) variance of levels beside those of thresholds and stamps
+        levels: (n,) about what is expected of them, the events before given; None: as stamps alone have it
+        """
         growth = 1.0 + circuit.threshold_drift * self.time_s
         scale = self.sign / (growth * memory_factor(circuit.polarity_memory, self.layout.alike))
         previous_s = np.concatenate([intervals.previous_s for intervals in self.intervals])
-        moved = other.moved_by_release(circuit, here)
-        carried, share = carried_over(here, moved, here.event.clock, scale, previous_s)
-        if carried is not None:
-            bend = other.bend(circuit, here, float(np.sqrt(here.event.clock.max())))
-            other.carried = carried.with_bend(here, moved, here.event.clock, bend)
-        other.clock_share = read_only(share)
-        return other
+        moved, stamp = self.moved_by_release(circuit, here), here.event.clock
+        carried, share = carried_over(here, moved, stamp, scale, previous_s, added)
+        if carried is None:
+            return None, share
+        if levels is not None:
+            carried = replace(carried, level=levels)
+        return carried.with_bend(here, moved, stamp, self._bend(circuit, here, float(np.sqrt(stamp.max())))), share
 
     def with_single_stamps(self) -> EventTimes:
         """The same likelihood with timestamp noise counted at the event alone."""
@@ -330,7 +342,7 @@ class EventTimes:
         known = (here.z != 0.0) & (there.z != 0.0)  # a level of 0: the circuit cannot have fired
         return np.where(known, there.z - here.z, 0.0) / NUDGE_S
 
-    def bend(self, circuit: Circuit, here: Terms, within_s: float) -> Bend:
+    def _bend(self, circuit: Circuit, here: Terms, within_s: float) -> Bend:
         """Second derivatives of levels by the times of events and resets, from levels so many seconds further and back;
         here: `terms(circuit)`."""
 

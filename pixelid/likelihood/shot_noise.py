@@ -8,9 +8,10 @@ event and, stored as the reference, in that of the next:
 with s_k the polarity and r_k stored at the amplifier's input.  Between events the stages are linear, with rates that
 follow the light: n has a state x, propagated exactly over steps of constant light, and the stored value is one more
 component.  A stamp that is late by j_k adds r_k j_k to its own level and m_k j_k to the next, whose reference it moves;
-it is the last component.  Of this linear Gaussian system the filter (Kalman 1960, J. Basic Eng. 82, 35) gives mean and variance of
-each y_k, the events before it given, and so the likelihood of a density and a threshold noise.  Events are taken as
-levels at given times: that a noisy level is met early is left out here, and corrected by simulation where it is used.
+it is the last component.  Of this linear Gaussian system the filter (Kalman 1960, J. Basic Eng. 82, 35)
+gives mean and variance of each y_k, the events before it given, and so the likelihood of a density, a jitter and a
+threshold noise.  Events are taken as levels at given times: that a noisy level is met early is left out here, and
+corrected by simulation where it is used.
 """
 
 from __future__ import annotations
@@ -100,7 +101,8 @@ class _Chain:
     """Events of one pixel in one recording, in order: where in `steps` they and their references are.
 
     rows: (n,) which events of the likelihood they are
-    y, variance: (n,) as the fit has them, without what stamps add;  sign: (n,);  usable: (n,) whether to learn from them
+    y, variance: (n,) as the fit has them, without what stamps add;  sign: (n,)
+    usable: (n,) whether to learn from them
     rate, moved: (n,) by how much later stamps of the event and of the one before raise its level, per second
     stamp: (n,) variance of stamps by their unit
     reference, event: (n,) number of steps before each
@@ -203,11 +205,11 @@ class _Shared:
         thresholds = np.median(np.concatenate([chain.variance for chain in self.chains]))
         return np.log(thresholds / np.array([of_shot, of_stamps]))
 
-    def value(self, v: Sequence[float]) -> float:
+    def value(self, v: Sequence[float] | np.ndarray) -> float:
         """Log-likelihood."""
         return self._filtered(v)[0]
 
-    def _filtered(self, v: Sequence[float]) -> tuple[float, float]:
+    def _filtered(self, v: Sequence[float] | np.ndarray) -> tuple[float, float]:
         """(log-likelihood, likeliest factor of all variances)."""
         density, jitter = math.exp(v[0]), math.exp(v[1]) if len(v) > 1 else 0.0
         sums = map_threads(lambda chain: chain.filtered(self.steps, density, jitter)[0], self.chains)
@@ -304,6 +306,10 @@ def under_shot_noise(likelihood: EventTimes, circuit: Circuit) -> EventTimes:
     layout = replace(at, light=light, light_reset=reset, light_last=last)
     shifted = likelihood.with_shift(Shift(read_only(-further), read_only(speed - rate)), layout)
     shifted.clock_share = read_only(1.0 + share)
+    carried, _ = likelihood.shared_by_stamps(circuit, terms, noise.variance, missed)
+    if carried is not None:  # what stamps share is among the means already: from here on it follows the circuit
+        change = terms.changes.events.change - likelihood.sign * further
+        shifted.carried = replace(carried, change=read_only(change), level=read_only(np.zeros(len(change))))
     return shifted
 
 
@@ -409,8 +415,8 @@ def _doubled(propagator: np.ndarray, added: np.ndarray) -> tuple[np.ndarray, np.
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _filter(
-    y, variance, sign, usable, rate, moved_by, stamp, reference, event, light, lasts, propagator, added, stationary, slope, stored, density,
-    moments,
+    y, variance, sign, usable, rate, moved_by, stamp, reference, event, light, lasts, propagator, added, stationary,
+    slope, stored, density, moments,
 ):  # fmt: skip
     """(Σ ln S, Σ r²/S, count) of the innovations r of one chain and their variances S; fills `moments` (n, 7).
 

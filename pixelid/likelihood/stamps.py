@@ -53,7 +53,7 @@ class Carried:
     scale: (n,) what levels change by with their changes
     change, level: (n,) both at the circuit that all is taken at, the level about its threshold and of innovations
     sd: (n,) of innovations
-    left: (n,) of the variance of the stamp before, the share that its own level leaves open
+    left: (n,) variance of the stamp before, given its own level
     bent: (n,) S c′(e)
     """
 
@@ -70,10 +70,10 @@ class Carried:
     def with_bend(self, terms: Terms, moved: np.ndarray, stamp: np.ndarray, bend: Bend) -> Carried:
         """The same with what second derivatives add;  arguments otherwise as of `carried_over`."""
         rate, S, e = terms.event.rate, self.sd**2, self.level
-        at_event, at_reset = stamp * rate / S, stamp * self.left * moved / S
+        at_event, at_reset = stamp * rate / S, self.left * moved / S
         along = at_event * bend.event + at_reset * bend.both
         twice = at_event * along + at_reset * (at_event * bend.both + at_reset * bend.reset)
-        spread = stamp * bend.event + stamp * self.left * bend.reset
+        spread = stamp * bend.event + self.left * bend.reset
         bent = -0.5 * (3.0 * e * e * twice + spread - 3.0 * S * twice) - S * along / rate
         most = MOST_BENT * self.sd
         return replace(self, bent=read_only(np.clip(np.nan_to_num(bent), -most, most)))
@@ -97,8 +97,9 @@ class Bend:
 
 
 def carried_over(
-    terms: Terms, moved: np.ndarray, stamp: np.ndarray, scale: np.ndarray, previous_s: np.ndarray
-) -> tuple[Carried | None, np.ndarray]:
+    terms: Terms, moved: np.ndarray, stamp: np.ndarray, scale: np.ndarray, previous_s: np.ndarray,
+    added: np.ndarray | None = None,
+) -> tuple[Carried | None, np.ndarray]:  # fmt: skip
     """(what levels share with those before, None where that is little; (n,) variance by stamps over r² σ²).
 
     Args:
@@ -107,6 +108,7 @@ def carried_over(
         stamp: (n,) σ², of each event's unit and the jitter [s²].
         scale: (n,) what levels change by with their changes.
         previous_s: (n,) times of the pixels' events before.
+        added: (n,) variance of levels by other noise; None: there is none.
     """
     at, rate = terms.layout, terms.event.rate
     y = np.where(terms.z != 0.0, terms.z - terms.group_mean[at.group], 0.0)
@@ -117,10 +119,10 @@ def carried_over(
     same = (at.pixel[first] == at.pixel[second]) & (at.recording[first] == at.recording[second])
     after[second] = same & (at.time_s[first] == previous_s[second]) & usable[first]
     own = rate**2 * stamp
-    thresholds = np.maximum(terms.scale**2 - rate**2 * terms.event.clock, 1e-300)
+    thresholds = np.maximum(terms.scale**2 - rate**2 * terms.event.clock, 1e-300) + (0.0 if added is None else added)
     left, by, level, S = (np.ones(len(y)) for _ in range(4))
     _innovations(order, after, y, rate, moved, stamp, own, thresholds, left, by, level, S)
-    share = 1.0 + np.minimum(moved**2 * left * stamp / own, MOST_SHARE - 1.0)
+    share = 1.0 + np.minimum(moved**2 * left / own, MOST_SHARE - 1.0)
     previous = np.empty(len(y))
     previous[second] = np.sqrt(S[first])
     previous[order[:1]] = 0.0
@@ -137,14 +139,14 @@ def _innovations(order, after, y, rate, moved, stamp, own, thresholds, left, by,
     last = 0
     for i in range(len(order)):
         k = order[i]
-        by[k] = 0.0
+        by[k], left[k] = 0.0, stamp[k]
         if after[k]:
-            left[k] = 1.0 - own[last] / S[last]
+            left[k] = stamp[last] * (1.0 - own[last] / S[last])
             by[k] = moved[k] * rate[last] * stamp[last] / S[last]
             level[k] = y[k] - by[k] * level[last]
         else:
             level[k] = y[k]
-        S[k] = thresholds[k] + own[k] + moved[k] * moved[k] * stamp[k] * left[k]
+        S[k] = thresholds[k] + own[k] + moved[k] * moved[k] * left[k]
         last = k
 
 

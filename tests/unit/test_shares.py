@@ -70,7 +70,7 @@ def test_replicates_whose_noise_is_not_found_again_end_the_attempt(monkeypatch, 
         return replicate_in_which(fit, told if turn >= lost_from else 3e-4, 0.0 if turn == 0 else 20.0)
 
     monkeypatch.setattr(shot_noise, "can_be_simulated", lambda *given: True)
-    monkeypatch.setattr(shot_noise, "share_out", lambda *given: found)
+    monkeypatch.setattr(shot_noise, "share_out", lambda *given, **how: found)
     monkeypatch.setattr(shot_noise, "background_by_polarity", lambda *given: np.zeros(2))
     monkeypatch.setattr(shot_noise, "make_replicate", make)
     monkeypatch.setattr(shot_noise, "map_fits", lambda work, one, jobs, cache: [one(job, cache) for job in jobs])
@@ -224,7 +224,7 @@ def test_replicates_alike_but_off_in_the_density_are_made_once_more(guessed, p_a
 )
 def test_an_effect_at_drawn_times_has_shot_noise_for_a_rival(monkeypatch, by_the_filter, gained, left_out, more):
     """Behind a queue a memory of the polarity stood in for it; one that was there left the filter nothing."""
-    monkeypatch.setattr(shot_noise, "share_out", lambda *given: Division(3e-4, 0.5, 0.1, by_the_filter, 1e3))
+    monkeypatch.setattr(shot_noise, "share_out", lambda *given, **how: Division(3e-4, 0.5, 0.1, by_the_filter, 1e3))
     evidence: Any = SimpleNamespace(training=None)
     options, model = Options(leave_out=left_out), find_model("dvs128")
     assert shot_noise.noise_explains_more(evidence, model, gained, options) == more

@@ -104,8 +104,8 @@ def test_moments_are_those_of_dense_gaussian_algebra():
     event, reference, y = np.array([50, 90]), np.array([0, 55]), np.array([0.03, 0.0])
     moments = np.empty((2, 7))
     _filter(
-        y, variance, np.ones(2), np.ones(2, bool), *np.zeros((3, 2)), reference, event, np.zeros(1, np.int16), np.array([91]),
-        *_doubled(E[None], (P - E @ P @ E.T)[None]), P[None], A[-1][None], stored, density, moments,
+        y, variance, np.ones(2), np.ones(2, bool), *np.zeros((3, 2)), reference, event, np.zeros(1, np.int16),
+        np.array([91]), *_doubled(E[None], (P - E @ P @ E.T)[None]), P[None], A[-1][None], stored, density, moments,
     )  # fmt: skip
     # states at steps 0, 50, 55, 90 together
     steps = [0, 50, 55, 90]
@@ -149,8 +149,9 @@ def test_light_that_changes_is_followed_from_step_to_step():
     S = rows @ joint @ rows.T + np.diag(variance)
     slope = np.zeros((2, n))
     logs, squares, _ = _filter(
-        y, variance, sign, np.ones(4, bool), *np.zeros((3, 4)), reference, event, np.array([0, 1, 0], np.int16), np.array([9, 23, 40]),
-        *_doubled(E, Q), P, slope, stored, density, np.empty((4, 7)),
+        y, variance, sign, np.ones(4, bool), *np.zeros((3, 4)), reference, event,
+        np.array([0, 1, 0], np.int16), np.array([9, 23, 40]), *_doubled(E, Q), P, slope, stored, density,
+        np.empty((4, 7)),
     )  # fmt: skip
     assert logs == pytest.approx(np.linalg.slogdet(S)[1], rel=1e-9)
     assert squares == pytest.approx(y @ np.linalg.solve(S, y), rel=1e-9)

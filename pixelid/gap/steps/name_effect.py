@@ -22,7 +22,15 @@ from pixelid.gap.attribute.pixels import candidates_of, slewing_both_ways
 from pixelid.gap.attribute.significance import leads
 from pixelid.gap.describe.describe import describes_better
 from pixelid.gap.detect.diagnostics import diagnose
-from pixelid.gap.detect.pixels import DEAD_TIME, NOISE, PixelEvidence, at_rest, is_noisy, reconsider_stimuli, relative_noise
+from pixelid.gap.detect.pixels import (
+    DEAD_TIME,
+    NOISE,
+    PixelEvidence,
+    at_rest,
+    is_noisy,
+    reconsider_stimuli,
+    relative_noise,
+)
 from pixelid.gap.detect.words import where
 from pixelid.gap.imputation.exact import LOST, loses_where_times_are_exact
 from pixelid.gap.imputation.impute import (
