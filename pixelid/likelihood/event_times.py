@@ -316,7 +316,7 @@ class EventTimes:
     ) -> tuple[Carried | None, np.ndarray]:
         """What levels share by the noise of stamps, as of `stamps.carried_over`;  here: `terms(circuit)`.
 
-        added: (n,) variance of levels beside those of thresholds and stamps
+        added: (n,) variance of levels in addition to those of thresholds and stamps
         levels: (n,) about what is expected of them, the events before given; None: as stamps alone have it
         """
         growth = 1.0 + circuit.threshold_drift * self.time_s
