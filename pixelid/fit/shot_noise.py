@@ -42,7 +42,8 @@ TURNS, AT_REST = 8, 0.3  # until the density's logarithm moves by less of its er
 PRIOR_DEGREES = 4.0  # of freedom that curvature lends to the variance of a few fits
 MAX_SHIFT = 1.0  # of a coordinate that is put right
 HELD = 0.15  # of a coordinate: what fits scatter by more the events do not hold
-MOST_STEPS = 3  # sets of simulated sessions, each from where the one before led
+MOST_STEPS = 3  # sets of simulated sessions, each from where the one before led,
+FAR_STEP = 1.0  # in errors, if that is further: what a shorter step is itself put right by is less than a third of one
 LEAST_ANSWER = 0.25  # of a step, by which fits answer it
 CORRECTION_ERROR = 0.3  # of what simulated sessions put right: they are of a circuit that is a little off itself
 REPLICATES, MOST_PIXELS = 3, 16  # simulated sessions, and their pixels
@@ -239,7 +240,7 @@ def _simulated_where_it_leads(
             break
         there = np.clip(optimum.x - shown.off, *objective.coordinates.bounds())
         error = np.sqrt(variance + shown.added_sd**2)
-        if np.all(np.abs(there - shown.at)[shown.off != 0.0] < AT_REST * error[shown.off != 0.0]):
+        if np.all(np.abs(there - shown.at)[shown.off != 0.0] < FAR_STEP * error[shown.off != 0.0]):
             break
         after = _simulated(objective, there, density * math.exp(-shown.log_density), whole, seed)
         if after is None:

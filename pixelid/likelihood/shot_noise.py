@@ -46,9 +46,9 @@ MOST_STEPS = 1.5e7  # of all pixels together, one and a half seconds of work a d
 OUTLIER = 5.0  # scales of the fit's residuals: events that something else made
 RATIOS = (1e-6, 1e6)  # of shot noise to threshold noise, variances, between which it is looked for; of jitter, too
 TRIED = (1e-3, 0.1, 3.0)  # of them, from which the search begins
-TOLERANCE = 0.01  # of their logarithms, and of nats
+NEAR_NATS, FARTHEST = 0.3, 0.5  # of the optimum, from where a parabola leads to it; and how far that may lead
 LEAST_CURVATURE = 1e-2  # of the log-likelihood by them: what events say nothing of is known to ten e-folds
-WIDTH = 0.1  # of the differences that its error is taken from
+WIDTH = 0.1  # of the differences that the parabola is taken from
 LEAST_THRESHOLDS = 1e-3  # of the fit's noise variance: 3 % of the noise, less than any sensor's thresholds
 
 
@@ -178,12 +178,11 @@ def share_out(likelihood: EventTimes, circuit: Circuit, seed: int = 0, free_jitt
     usual = shared.usual if free_jitter or circuit.jitter > 0.0 else shared.usual[:1]
     starts = [usual + np.log(tried) for tried in itertools.product(TRIED, repeat=len(usual))]
     start = max(starts, key=shared.value)
-    optimum = minimize(
-        lambda v: -shared.value(v), start, method="Nelder-Mead",
-        bounds=[tuple(at + np.log(RATIOS)) for at in usual],
-        options={"initial_simplex": [start, *(start + np.eye(len(start)))], "xatol": TOLERANCE, "fatol": TOLERANCE},
+    near = minimize(
+        lambda v: -shared.value(v), start, method="Nelder-Mead", bounds=[tuple(at + np.log(RATIOS)) for at in usual],
+        options={"initial_simplex": [start, *(start + np.eye(len(start)))], "xatol": WIDTH, "fatol": NEAR_NATS},
     )  # fmt: skip
-    return shared.division(optimum.x)
+    return shared.division(near.x)
 
 
 @dataclass(frozen=True)
@@ -217,20 +216,27 @@ class _Shared:
         scale = squares / count
         return -0.5 * (logs + count * (math.log(scale) + 1.0)), scale
 
-    def division(self, v: np.ndarray) -> Division:
-        """At the optimum v."""
-        d = len(v)
-        top, scale = self._filtered(v)
+    def division(self, near: np.ndarray) -> Division:
+        """At the top of the parabola through the surroundings of coordinates near the optimum."""
+        d = len(near)
+        middle = self.value(near)
         steps = WIDTH * np.eye(d)
-        up, down = ([self._filtered(v + sign * step) for step in steps] for sign in (1.0, -1.0))
-        curvature = np.diag([2.0 * top - more[0] - less[0] for more, less in zip(up, down, strict=True)])
+        up, down = ([self._filtered(near + sign * step) for step in steps] for sign in (1.0, -1.0))
+        slope = np.array([more[0] - less[0] for more, less in zip(up, down, strict=True)]) / (2.0 * WIDTH)
+        curvature = np.diag([2.0 * middle - more[0] - less[0] for more, less in zip(up, down, strict=True)])
         if d > 1:
-            curvature[0, 1] = curvature[1, 0] = up[0][0] + up[1][0] - top - self.value(v + steps.sum(axis=0))
+            both = self.value(near + steps.sum(axis=0))
+            curvature[0, 1] = curvature[1, 0] = up[0][0] + up[1][0] - middle - both
         curvature = curvature / WIDTH**2 + LEAST_CURVATURE * np.eye(d)
+        covariance = np.linalg.pinv(curvature, hermitian=True)
+        v = near + np.clip(covariance @ slope, -FARTHEST, FARTHEST)
+        top, scale = self._filtered(v)
+        if not top > middle:
+            v, (top, scale) = near, self._filtered(near)
         moved = np.array([math.log(more[1] / less[1]) for more, less in zip(up, down, strict=True)]) / (2.0 * WIDTH)
         moved[0] += 1.0  # ln density = v_0 + ln factor
         events = sum(int(chain.usable.sum()) for chain in self.chains)
-        variance = moved @ np.linalg.pinv(curvature, hermitian=True) @ moved + 2.0 / events
+        variance = moved @ covariance @ moved + 2.0 / events
         dimmest = self.steps.stationary[min(int(chain.light.min()) for chain in self.chains)][-1, -1]
         return Division(
             density=scale * math.exp(v[0]), thresholds=scale, error=math.sqrt(max(variance, 2.0 / events)),
@@ -247,7 +253,7 @@ class _Shared:
             return self.value([none])
         found = minimize_scalar(
             lambda at: -self.value([none, at]), bounds=tuple(jitter + np.log(RATIOS)), method="bounded",
-            options={"xatol": TOLERANCE},
+            options={"xatol": WIDTH},
         )  # fmt: skip
         return -float(found.fun)
 
