@@ -52,7 +52,7 @@ def confounded(at: Space, directions: Sequence[Direction], options: Options) -> 
         if seen or abs(moved) <= abs(float(effect.bias[on] + effect.bias[off])):
             continue
         strength = asymmetry / moved * effect.strength
-        parameter = next(p for p in stages.effect(effect.effect).parameters if p.free)
+        parameter = next(p for p in at.fit.model.library(effect.effect) if p.free)
         would_show = 0.5 * effect.seen * (strength / parameter.value) ** 2
         if parameter.lower < strength < parameter.upper and would_show <= options.criteria.min_lead_nats:
             return Confounder(effect.effect, strength, asymmetry)
