@@ -179,7 +179,8 @@ def _lacking(effect: str, report: GapReport, beside: Beside, criteria: Criteria)
     why = "detectable here; not found"
     if report.remainder:
         why += "; something else is left unexplained"
-    return Row(effect, stage, ABSENT, why, {}, *said, shows_nats=shows, limit=_limit(effect, shows, needed))
+    limit = _limit(effect, beside.model, shows, needed)
+    return Row(effect, stage, ABSENT, why, {}, *said, shows_nats=shows, limit=limit)
 
 
 def _gains(effect: str, rounds: Sequence[Mapping[str, Any]]) -> tuple[float | None, float | None, float | None]:
@@ -189,9 +190,9 @@ def _gains(effect: str, rounds: Sequence[Mapping[str, Any]]) -> tuple[float | No
     return (last["p_value"], last["gain_nats"], last["heldout_gain_nats"]) if last else (None, None, None)
 
 
-def _limit(effect: str, shows: float, needed: float) -> tuple[str, float]:
+def _limit(effect: str, model: Model, shows: float, needed: float) -> tuple[str, float]:
     """(parameter, strength that would show enough): nats go with the square of the strength."""
-    free = next(p for p in stages.effect(effect).parameters if p.free)
+    free = next(p for p in model.library(effect) if p.free)
     factor = math.sqrt(needed / shows)
     return free.name, abs(free.value) * (1.0 / factor if stages.effect(effect).weakens else factor)
 

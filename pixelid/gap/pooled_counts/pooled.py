@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pixelid import stages
 from pixelid.errors import InputError
 from pixelid.fit.judge import LARGEST_DISPERSION
 from pixelid.fit.pooled import fit_pooled
@@ -249,7 +248,7 @@ def _errors(stretches: Stretches, fit: Fitted) -> dict[str, float]:
 
 def _named(step: PooledStep, fit: Fitted, errors: Mapping[str, float]) -> Named:
     winner, parameters = step.winner, {}
-    for parameter in stages.effect(winner.effect).parameters:
+    for parameter in fit.model.library(winner.effect):
         value, interval = fit.model.values[parameter.name], None
         if parameter.name in errors:
             x, reach = parameter.to_coordinate(value), Z95 * errors[parameter.name]
