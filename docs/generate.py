@@ -217,6 +217,7 @@ PAGES: dict[str, Callable[[], str]] = {
     "combinations": measured.combinations,
     "independent": measured.independent,
     "coverage": measured.coverage,
+    "bench_sessions": measured.bench_sessions,
     "faults": measured.faults,
     "fuzzing": measured.fuzzing,
     "speed": measured.speed,

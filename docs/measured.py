@@ -149,6 +149,35 @@ def independent() -> str:
     return table(heads, kinds) + "\n" + _of_earlier_versions(content["runs"]).strip() + "\n"
 
 
+def bench_sessions() -> str:
+    """What `benchmarks/bench_sessions.py` found."""
+    found = of_json("benchmarks/bench_sessions.json")["summary"]
+    circuit = [
+        (f"`{name}`", "{} of {}".format(row["covered"], row["with_interval"]), percent(row["median_error"], 2),
+         percent(row["largest_error"]),
+         "" if row["within_target"] is None else f"{row['within_target']} of {row['reported']}")
+        for name, row in found["parameters"].items()
+    ]  # fmt: skip
+    effects = [
+        (f"`{name}`", *("{} of {}".format(*row[key]) for key in ("above_limit", "below_limit", "covered")),
+         row["wrongly_named"])
+        for name, row in found["effects"].items()
+    ]  # fmt: skip
+    faults = [(name, f"{row['found']} of {row['found'] + row['missed']}") for name, row in found["faults"].items()]
+    status = ", ".join(f"{count} `{name}`" for name, count in found["status"].items())
+    seconds = "{:.0f} s in the median, {:.0f} s at most".format(*found["cpu_seconds_median_and_largest"])
+    doubts = ", ".join(found["doubted_without_cause"]) or "none"
+    return "\n".join([
+        f"{found['sessions']} sessions: {status}. CPU time {seconds}.\n",
+        table(("parameter", "in its 95 % interval", "median error", "largest error", "within target"), circuit),
+        table(("effect", "planted above its limit, named", "below, named", "strength in its interval",
+               "named where absent"), effects),
+        table(("wrong statement", "found"), faults),
+        f"Statements doubted that are right: {doubts}. Nothing missing and `none`: {found['nulls'][0]} of "
+        f"{found['nulls'][1]}. Described: {found['described']}.\n",
+    ])  # fmt: skip
+
+
 def _of_earlier_versions(runs: list[dict]) -> str:
     """A sentence about runs whose numbers are of an earlier version, or nothing."""
     earlier = sum(bool(run.get("earlier_code")) for run in runs)
