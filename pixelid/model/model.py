@@ -260,10 +260,12 @@ class Model:
         if not self.nuisances:
             return self
         end = f"[{recording}]"
-        own = {name.removesuffix(end): p.value for name, p in self.nuisances.items() if name.endswith(end)}
-        factor = own.pop(THRESHOLD_GAIN.name, 1.0)
+        mine = {name.removesuffix(end): p for name, p in self.nuisances.items() if name.endswith(end)}
+        own = {name: p.value for name, p in mine.items() if name not in ONLY_OWN}
+        factor = mine[THRESHOLD_GAIN.name].value if THRESHOLD_GAIN.name in mine else 1.0
         kept = {name: p.fixed() for name, p in self.nuisances.items() if "[" not in name}
-        kept |= {name: p.at(own.pop(name)).fixed() for name, p in ONLY_OWN.items() if name in own}
+        of_bench = {name: p for name, p in mine.items() if name in ONLY_OWN and name != THRESHOLD_GAIN.name}
+        kept |= {name: replace(p, name=name).fixed() for name, p in of_bench.items()}
         thresholds = {p.name: factor * self.values[p.name] for p in comparator.PARAMETERS if factor != 1.0}
         return replace(self, nuisances=kept).set(own | thresholds)
 

@@ -246,3 +246,14 @@ def test_complex_values_reach_the_circuit(dvs128):
     circuit = dvs128.circuit({"alpha": complex(6e4, 1e-20), "diff_cutoff_hz": complex(16e3, 1e-20)})
     assert circuit.alpha.imag == 1e-20
     assert circuit.differencing.imag == pytest.approx(2 * math.pi * 1e-20)
+
+
+def test_a_model_in_one_recording_keeps_how_far_its_clock_may_be_off():
+    """An alignment known to tens of milliseconds widens the bounds of a delay beyond the usual ones."""
+    from dataclasses import replace
+
+    from pixelid.model.model import CLOCK_DELAY
+
+    wide = replace(CLOCK_DELAY, name="alignment.delay_s[slow]", lower=-0.1, upper=0.1, value=-0.03)
+    model = replace(find_model("dvs128"), nuisances={wide.name: wide})
+    assert model.in_recording("slow").circuit().delay == pytest.approx(-0.03)
