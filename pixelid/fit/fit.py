@@ -57,7 +57,7 @@ def fit(
             over-determined.
         fixed: nuisances of the recordings to hold ("stimulus.gain", "pooled.pixels", "alignment.delay_s[NAME]",
             "mains_flicker.phase_rad[NAME]").
-        starts: random starts in addition to the model's own.
+        starts: random starts in addition to the model's own; 0: those alone, however the search ends.
         between: how recorded stimuli run between their samples, "linear", "smooth", or "auto": whichever explains the
             events better.
         engine: what maximises the event-time likelihood (`fit.engines`); all engines find the same optimum.  Pooled

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from pixelid.fit.bench import is_of_bench
 from pixelid.fit.event_times import EventTimesObjective
 from pixelid.fit.newton import Optimum
 from pixelid.fit.newton import maximise as newton_steps
@@ -29,12 +30,14 @@ def beyond_plateaus(objective: EventTimesObjective, optimum: Optimum) -> Optimum
         optimum: Of it.
     """
     best = optimum
+    names = objective.coordinates.names
     for i in np.flatnonzero(_shown(optimum.local.information) < PLATEAU):
-        moved = _where_it_shows(objective, best.x, int(i))
+        moved = None if is_of_bench(names[i]) else _where_it_shows(objective, best.x, int(i))
         if moved is None:
             continue
         start = at_fixed(objective, moved, int(i))[1]
-        end = newton_steps(objective, start, tolerance=TOLERANCE, max_steps=60)
+        wanted = best.local.value + PLATEAU
+        end = newton_steps(objective, start, tolerance=TOLERANCE, max_steps=60, wanted=wanted)
         if end.local.value > best.local.value + PLATEAU:
             best = end
     return None if best is optimum else best

@@ -101,11 +101,11 @@ def _at_rest(
 ) -> tuple[EventTimesObjective, Optimum]:
     """The optimum from one near it, with what stamps and gains add held where it is."""
     for _ in range(TURNS):
-        before = optimum.x
-        objective = _held(objective, before)
+        before, free = optimum.x, objective
+        objective = _held(free, before)
         optimum = maximiser.maximise(objective, before, max_steps=60)
         went = optimum.x - before
-        if went @ optimum.local.information @ went < AT_REST:
+        if objective is free or not optimum.converged or went @ optimum.local.information @ went < AT_REST:
             break
     return objective, optimum
 

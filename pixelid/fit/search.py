@@ -181,7 +181,7 @@ def _from_afar(
 
     for point in points:
         search(point)
-    while not max(ends, key=lambda end: end.local.value).converged and len(ends) <= starts + MORE_STARTS:
+    while starts and not max(ends, key=lambda end: end.local.value).converged and len(ends) <= starts + MORE_STARTS:
         search(feasible_start(random_starts(coordinates.start, 1, rng, FAR)[0]))
     return ends
 
