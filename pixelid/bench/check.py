@@ -195,14 +195,23 @@ def _row(
     except InputError as error:
         return None, Row(name, events, pixels, summary, False, str(error))
     if alignment.method == "inherited" and isinstance(on_clock.stimulus, Stimulus) and len(on_clock.events):
-        # when the camera stopped is not known: what it did not see after its last event says nothing
-        on_clock = replace(on_clock, stimulus=on_clock.stimulus.until(1e-9 * (float(on_clock.events.t[-1]) + 1.0)))
+        on_clock = _until_last_event(on_clock, on_clock.stimulus)
     inside = len(on_clock.events)
     if len(np.unique(on_clock.events.pixel)) == inside:
         why = "no pixel has two events within the light" if events else "no events"
         return None, Row(name, events, pixels, summary, False, why)
     outside = f"; {events - inside} events outside the light" if inside < events else ""
     return _exact(on_clock, light, bench), Row(name, events, pixels, summary, True, alignment.sentence + outside)
+
+
+def _until_last_event(recording: Recording, light: Stimulus) -> Recording:
+    """The recording under its light up to the first sample after its last event.
+
+    When the camera stopped is not known: what it did not see later says nothing.  Samples stay as they are, so that
+    their noise can be told from the light.
+    """
+    after = int(np.searchsorted(light.t, 1e-9 * (float(recording.events.t[-1]) + 1.0)))
+    return recording if after >= len(light.t) else replace(recording, stimulus=light.until(float(light.t[after])))
 
 
 def _exact(recording: Recording, light: Light, bench: Bench) -> Recording:
