@@ -207,8 +207,8 @@ def _row(
 def _until_last_event(recording: Recording, light: Stimulus) -> Recording:
     """The recording under its light up to the first sample after its last event.
 
-    When the camera stopped is not known: what it did not see later says nothing.  Samples stay as they are, so that
-    their noise can be told from the light.
+    When the camera stopped is not known: what it did not see later says nothing.  Samples stay evenly spaced, without
+    which their noise is not estimated.
     """
     after = int(np.searchsorted(light.t, 1e-9 * (float(recording.events.t[-1]) + 1.0)))
     return recording if after >= len(light.t) else replace(recording, stimulus=light.until(float(light.t[after])))
