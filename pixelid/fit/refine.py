@@ -87,8 +87,7 @@ def refine(
     between = _likeliest(ends)
     if len(ends) == len(BETWEEN):
         details = {"smooth_minus_linear_nats": _smooth_minus_linear(ends)}
-    objective, optimum = ends[between]
-    objective, optimum = _at_rest(objective, optimum, maximiser)
+    objective, optimum = _at_rest(*ends[between], maximiser)
     better = beyond_plateaus(objective, optimum)
     if better is not None:
         objective, optimum = _at_rest(objective, better, maximiser)

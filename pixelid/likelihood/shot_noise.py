@@ -219,7 +219,7 @@ class _Shared:
     def division(self, near: np.ndarray) -> Division:
         """At the top of the parabola through the surroundings of coordinates near the optimum."""
         d = len(near)
-        middle = self.value(near)
+        middle, scale_there = self._filtered(near)
         steps = WIDTH * np.eye(d)
         up, down = ([self._filtered(near + sign * step) for step in steps] for sign in (1.0, -1.0))
         slope = np.array([more[0] - less[0] for more, less in zip(up, down, strict=True)]) / (2.0 * WIDTH)
@@ -232,7 +232,7 @@ class _Shared:
         v = near + np.clip(covariance @ slope, -FARTHEST, FARTHEST)
         top, scale = self._filtered(v)
         if not top > middle:
-            v, (top, scale) = near, self._filtered(near)
+            v, top, scale = near, middle, scale_there
         moved = np.array([math.log(more[1] / less[1]) for more, less in zip(up, down, strict=True)]) / (2.0 * WIDTH)
         moved[0] += 1.0  # ln density = v_0 + ln factor
         events = sum(int(chain.usable.sum()) for chain in self.chains)
