@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.event_times import LEVELS_TAKEN_AT, EventTimesObjective
 from pixelid.fit.result import FitResult
 from pixelid.likelihood.event_times import EventTimes
@@ -39,7 +38,7 @@ def event_times_of(result: FitResult, recordings: Sequence[Recording]) -> EventT
     """
     between = result.details.get("stimulus_between_samples", "linear")
     fine = [with_fine_light(r, between) for r in as_fitted(recordings) if r.stimulus is not None]
-    objective = stamps_weighed(EventTimesObjective(EventTimes(fine), result.coordinates), result.x)
+    objective = EventTimesObjective(EventTimes(fine), result.coordinates).near(result.x)
     if objective.circuit(result.x).shot_density == 0.0:
         return objective
     told = result.details.get("shot_noise", {})
@@ -47,18 +46,3 @@ def event_times_of(result: FitResult, recordings: Sequence[Recording]) -> EventT
     taken, names = told.get(LEVELS_TAKEN_AT, {}), result.coordinates.names
     at = np.array([taken.get(name, value) for name, value in zip(names, result.x, strict=True)])
     return EventTimesObjective(objective.likelihood, result.coordinates, off).under_shot_noise(at)
-
-
-def weighs_stamps(likelihood: EventTimes, coordinates: Coordinates) -> bool:
-    """Whether the noise of stamps counts at the reset as well: where they are jittered or coarse."""
-    return "timestamp_jitter" in coordinates.model.effects or likelihood.has_coarse_stamps
-
-
-def stamps_weighed(objective: EventTimesObjective, x: np.ndarray) -> EventTimesObjective:
-    """The objective with the noise of stamps counted at the reset as well as at the event, as at x; itself where the
-    stamps are neither jittered nor coarse.
-    """
-    likelihood, coordinates = objective.likelihood, objective.coordinates
-    if not weighs_stamps(likelihood, coordinates):
-        return objective
-    return EventTimesObjective(objective.at(x).weighed(coordinates.circuit(x)), coordinates)

@@ -74,9 +74,22 @@ class EventTimesObjective(Objective):
         circuit = self.circuit(x) if density is None else self.circuit(x).with_(shot_density=density)
         return EventTimesObjective(under_shot_noise(self.at(x), circuit), self.coordinates, self.off)
 
-    def holding_gains(self, x: np.ndarray) -> EventTimesObjective:
-        """The same with what the gains of pixels add to changes held as at x."""
-        return EventTimesObjective(self.at(x).with_gains_held(self.circuit(x)), self.coordinates, self.off)
+    def near(self, x: np.ndarray) -> EventTimesObjective:
+        """The same with what the noise of stamps and the gains of pixels add to levels held as at x.
+
+        Noise of stamps counts at the reset as well as at the event where stamps are jittered or coarse.  Itself where
+        shot noise has moved levels, which are held anyway.
+        """
+        likelihood = self.at(x)
+        if likelihood.shift is not None:
+            return self
+        if weighs_stamps(likelihood, self.coordinates):
+            likelihood = likelihood.weighed(self.circuit(x))
+        elif likelihood.is_uneven:
+            likelihood = likelihood.with_gains_held(self.circuit(x))
+        else:
+            return self
+        return EventTimesObjective(likelihood, self.coordinates, self.off)
 
     def at(self, x: np.ndarray) -> EventTimes:
         """The likelihood as it is at x."""
@@ -178,6 +191,11 @@ class EventTimesObjective(Objective):
         names = [recording.name for recording in self.likelihood.recordings]
         moved = [k for k, name in enumerate(names) if here.in_recording(name) != there.in_recording(name)]
         return moved[0] if len(moved) == 1 else None
+
+
+def weighs_stamps(likelihood: EventTimes, coordinates: Coordinates) -> bool:
+    """Whether the noise of stamps counts at the reset as well: where they are jittered or coarse."""
+    return "timestamp_jitter" in coordinates.model.effects or likelihood.has_coarse_stamps
 
 
 def _moved(x: np.ndarray, i: int, by: float) -> np.ndarray:

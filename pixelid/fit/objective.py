@@ -38,6 +38,10 @@ class Objective(ABC):
     def local(self, x: np.ndarray) -> Local:
         """Value, gradient and information at x."""
 
+    def near(self, x: np.ndarray) -> Self:
+        """The same with what it holds near an optimum taken anew at x; itself where it holds nothing."""
+        return self
+
     def gradient(self, x: np.ndarray) -> np.ndarray:
         """The gradient at x."""
         return self.local(x).gradient

@@ -37,7 +37,7 @@ def beyond_plateaus(objective: EventTimesObjective, optimum: Optimum) -> Optimum
             continue
         start = at_fixed(objective, moved, int(i))[1]
         wanted = best.local.value + PLATEAU
-        end = newton_steps(objective, start, tolerance=TOLERANCE, max_steps=60, wanted=wanted)
+        end = newton_steps(objective.near(start), start, tolerance=TOLERANCE, max_steps=60, wanted=wanted)
         if end.local.value > best.local.value + PLATEAU:
             best = end
     return None if best is optimum else best

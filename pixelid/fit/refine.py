@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from pixelid.fit.coordinates import Coordinates
-from pixelid.fit.data import stamps_weighed
 from pixelid.fit.engines import Engine
 from pixelid.fit.event_times import EventTimesObjective
 from pixelid.fit.newton import Optimum
 from pixelid.fit.open_coordinates import beyond_plateaus
+from pixelid.fit.ridge_of_stamps import Ridge, ridge_of_stamps
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.recordings.own_light import with_fine_light
 from pixelid.recordings.recording import Recording
@@ -42,12 +42,14 @@ class Refined:
     optimum: of it
     between: "linear" or "smooth"
     details: what decided it, as results show it
+    ridge: along which what is held leads astray, where there is one
     """
 
     objective: EventTimesObjective
     optimum: Optimum
     between: str
     details: dict[str, float]
+    ridge: Ridge | None = None
 
 
 def refine(
@@ -87,32 +89,29 @@ def refine(
     between = _likeliest(ends)
     if len(ends) == len(BETWEEN):
         details = {"smooth_minus_linear_nats": _smooth_minus_linear(ends)}
-    objective, optimum = _at_rest(*ends[between], maximiser)
+    objective, optimum = at_rest(*ends[between], maximiser.maximise)
     better = beyond_plateaus(objective, optimum)
     if better is not None:
-        objective, optimum = _at_rest(objective, better, maximiser)
+        objective, optimum = at_rest(objective, better, maximiser.maximise)
+    ridge = ridge_of_stamps(objective, optimum)
+    if ridge is not None:
+        objective, optimum = ridge.objective, ridge.optimum
     report(1.0)
-    return Refined(objective, optimum, between, details)
+    return Refined(objective, optimum, between, details, ridge)
 
 
-def _at_rest(
-    objective: EventTimesObjective, optimum: Optimum, maximiser: Engine
+def at_rest(
+    objective: EventTimesObjective, optimum: Optimum, maximise: Callable[..., Optimum]
 ) -> tuple[EventTimesObjective, Optimum]:
-    """The optimum from one near it, with what stamps and gains add held where it is."""
+    """The optimum from one near it, with what stamps and gains add held where it is;  maximise: an engine's."""
     for _ in range(TURNS):
         before, free = optimum.x, objective
-        objective = _held(free, before)
-        optimum = maximiser.maximise(objective, before, max_steps=60)
+        objective = free.near(before)
+        optimum = maximise(objective, before, max_steps=60)
         went = optimum.x - before
         if objective is free or not optimum.converged or went @ optimum.local.information @ went < AT_REST:
             break
     return objective, optimum
-
-
-def _held(objective: EventTimesObjective, x: np.ndarray) -> EventTimesObjective:
-    """The objective with what the noise of stamps and the gains of pixels add to levels held as at x."""
-    objective = stamps_weighed(objective, x)
-    return objective.holding_gains(x) if objective.likelihood.is_uneven else objective
 
 
 Ends = dict[str, tuple[EventTimesObjective, Optimum]]
@@ -123,7 +122,7 @@ def _ends(recordings, coordinates: Coordinates, x, kinds, maximiser: Engine, set
     ends: Ends = {}
     for kind in kinds:
         likelihood = EventTimes([with_fine_light(recording, kind) for recording in recordings])
-        objective = _held(EventTimesObjective(likelihood, coordinates), x)
+        objective = EventTimesObjective(likelihood, coordinates).near(x)
         ends[kind] = objective, maximiser.maximise(objective, x, max_steps=60, **settings)
         x = ends[kind][1].x
         done()

@@ -21,6 +21,7 @@ from pixelid.fit.light_unit import in_recorded_unit
 from pixelid.fit.newton import Optimum
 from pixelid.fit.newton import maximise as newton_steps
 from pixelid.fit.refine import BETWEEN, refine
+from pixelid.fit.ridge_of_stamps import Ridge
 from pixelid.fit.shot_noise import EFFECT, HeldBench, fit_under_shot_noise, without_density
 from pixelid.fit.starts import feasible, narrower, random_starts
 from pixelid.likelihood.event_times import EventTimes
@@ -64,6 +65,7 @@ class SearchResult:
         dispersion: Variance of counts over what the model expects; 1 of event times.
         information: (d, d) inverse of the estimates' covariance, where it is not the curvature's (pooled counts).
         bench: Nuisances that were held at what a fit without shot noise found.
+        ridge: Along which what is held of the noise of stamps leads astray, where there is one.
     """
 
     objective: Any
@@ -77,6 +79,7 @@ class SearchResult:
     dispersion: float = 1.0
     information: np.ndarray | None = None
     bench: HeldBench | None = None
+    ridge: Ridge | None = None
 
 
 def check_event_times(model: Model) -> None:
@@ -127,19 +130,19 @@ def search_event_times(
     # where sensors measured the light, only its samples are known
     kinds = ("linear",) if any(map(is_measured, recordings)) else BETWEEN
     kinds = kinds if settings.between == "auto" or kinds == ("linear",) else (settings.between,)
-    levels = None
+    levels = ridge = None
     if wanted is None:
         refined = refine(
             recordings, coordinates, best.x, kinds, settings.engine, rng,
             lambda share: report("refining", 0.5 + 0.4 * share),
         )  # fmt: skip
-        objective, optimum = refined.objective, refined.optimum
+        objective, optimum, ridge = refined.objective, refined.optimum, refined.ridge
         details = {"stimulus_between_samples": refined.between, **refined.details}
     else:  # without levels the optimum of all events is far off, and it is not known how light runs between its samples
         report("gain and background of pixels", 0.5)
         levels = fit_levels(recordings, coordinates, (best.x, coordinates.start), wanted, kinds)
         objective, optimum, details = levels.objective, levels.optimum, dict(levels.details)
-    found = SearchResult(objective, optimum, EventTimes(recordings).pixels, details, levels=levels,
+    found = SearchResult(objective, optimum, EventTimes(recordings).pixels, details, levels=levels, ridge=ridge,
                   caveats=light_caveats(recordings))  # fmt: skip
     if levels is not None:
         found = replace(found, log_likelihood=objective.terms(optimum.x).total)

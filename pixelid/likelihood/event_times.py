@@ -289,7 +289,10 @@ class EventTimes:
 
     def terms(self, circuit: Circuit, changes: StackedChanges | None = None) -> Terms:
         """The likelihood's pieces under a circuit; `changes` is `changes(circuit)` when it is known already."""
-        return density(self.layout, circuit, changes or self.changes(circuit), self.clock_share)
+        terms = density(self.layout, circuit, changes or self.changes(circuit), self.clock_share)
+        if self.carried is not None:
+            terms.event.term[:] += self.carried.gain * ~terms.background
+        return terms
 
     def released_later(self, circuit: Circuit, here: Terms) -> Terms:
         """The pieces if every pixel were let go `NUDGE_S` later;  here: `terms(circuit)`."""
@@ -306,18 +309,28 @@ class EventTimes:
         The time of the reset is as uncertain as that of the event, and what the event before says of it is taken from
         the level (`stamps.py`).  All that is held as it is under this circuit, and gains of pixels are, too.
         """
-        other = self.with_single_stamps().with_gains_held(circuit)
-        other.carried, share = other.shared_by_stamps(circuit, other.terms(circuit))
+        return self.with_gains_held(circuit).with_stamps_at(circuit)
+
+    def with_stamps_at(self, circuit: Circuit, bend: Bend | None = None) -> EventTimes:
+        """The same likelihood with the noise of stamps held as under a circuit;  bend: if it is known."""
+        other = self.with_single_stamps()
+        other.carried, share = other.shared_by_stamps(circuit, other.terms(circuit), bend=bend)
         other.clock_share = read_only(share)
         return other
 
     def shared_by_stamps(
-        self, circuit: Circuit, here: Terms, added: np.ndarray | None = None, levels: np.ndarray | None = None
+        self,
+        circuit: Circuit,
+        here: Terms,
+        added: np.ndarray | None = None,
+        levels: np.ndarray | None = None,
+        bend: Bend | None = None,
     ) -> tuple[Carried | None, np.ndarray]:
         """What levels share by the noise of stamps, as of `stamps.carried_over`;  here: `terms(circuit)`.
 
         added: (n,) variance of levels in addition to those of thresholds and stamps
         levels: (n,) about what is expected of them, the events before given; None: as stamps alone have it
+        bend: of levels, by times; None: to be found
         """
         growth = 1.0 + circuit.threshold_drift * self.time_s
         scale = self.sign / (growth * memory_factor(circuit.polarity_memory, self.layout.alike))
@@ -328,7 +341,8 @@ class EventTimes:
             return None, share
         if levels is not None:
             carried = replace(carried, level=levels)
-        return carried.with_bend(here, moved, stamp, self._bend(circuit, here, float(np.sqrt(stamp.max())))), share
+        bend = bend or self._bend(circuit, here, float(np.sqrt(stamp.max())))
+        return carried.with_bend(here, moved, stamp, bend), share
 
     def with_single_stamps(self) -> EventTimes:
         """The same likelihood with timestamp noise counted at the event alone."""

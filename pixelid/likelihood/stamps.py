@@ -55,6 +55,8 @@ class Carried:
     sd: (n,) of innovations
     left: (n,) variance of the stamp before, given its own level
     bent: (n,) S c′(e)
+    gain: (n,) c(e) less what levels further off by S c′(e) gain: so the density at the circuit is that with the bend
+    bend: second derivatives that these are of, or None
     """
 
     order: np.ndarray
@@ -66,6 +68,8 @@ class Carried:
     sd: np.ndarray
     left: np.ndarray
     bent: np.ndarray
+    gain: np.ndarray
+    bend: Bend | None = None
 
     def with_bend(self, terms: Terms, moved: np.ndarray, stamp: np.ndarray, bend: Bend) -> Carried:
         """The same with what second derivatives add;  arguments otherwise as of `carried_over`."""
@@ -75,8 +79,12 @@ class Carried:
         twice = at_event * along + at_reset * (at_event * bend.both + at_reset * bend.reset)
         spread = stamp * bend.event + self.left * bend.reset
         bent = -0.5 * (3.0 * e * e * twice + spread - 3.0 * S * twice) - S * along / rate
+        c = -0.5 * e / S * (e * e * twice + spread - 3.0 * S * twice) - along * e / rate
         most = MOST_BENT * self.sd
-        return replace(self, bent=read_only(np.clip(np.nan_to_num(bent), -most, most)))
+        bent, c = np.clip(np.nan_to_num(bent), -most, most), np.clip(np.nan_to_num(c), -MOST_BENT, MOST_BENT)
+        usual = np.abs(e) < FAR * self.sd
+        gain = np.where(usual, c - bent * (e - 0.5 * bent) / S, 0.0)
+        return replace(self, bent=read_only(bent), gain=read_only(gain), bend=bend)
 
     def apply(self, changes: StackedChanges, among: np.ndarray | None = None) -> None:
         """Take from the changes what events before say of them, at those `among` (n,) only."""
@@ -129,7 +137,8 @@ def carried_over(
     if np.max(np.abs(by) * previous / np.sqrt(S), initial=0.0) < NEGLIGIBLE:
         return None, share
     change = terms.changes.events.change.copy()
-    held = map(read_only, (order, after, by, scale, change, level, np.sqrt(S), left, np.zeros(len(y))))
+    none = np.zeros(len(y))
+    held = [read_only(row) for row in (order, after, by, scale, change, level, np.sqrt(S), left, none, none)]
     return Carried(*held), share
 
 

@@ -54,7 +54,7 @@ def test_gains_are_found_and_explain_the_events():
     assert gained > 20.0
     exactly = truly.value(x) - objective.value(x)
     assert gained == pytest.approx(exactly, rel=0.1)  # to first order
-    to_second = known.holding_gains(x).value(x) - objective.value(x)
+    to_second = known.near(x).value(x) - objective.value(x)
     assert abs(to_second - exactly) < 0.2 * abs(gained - exactly)
 
 

@@ -23,7 +23,7 @@ from scipy.special import log_ndtr, ndtr, ndtri
 
 from pixelid.errors import InputError
 from pixelid.fit.coordinates import Coordinates
-from pixelid.fit.data import weighs_stamps
+from pixelid.fit.event_times import weighs_stamps
 from pixelid.fit.levels.covariance import Joint
 from pixelid.fit.levels.objective import LevelledObjective
 from pixelid.fit.levels.pixel_levels import (
