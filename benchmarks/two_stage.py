@@ -14,10 +14,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from posed import fit_field
 
 from pixelid.nerf.dataset import Dataset, evaluation_views
 from pixelid.nerf.evaluate import Scores, evaluate
-from pixelid.nerf.posed import fit_field
 from pixelid.nerf.problem import problem_of
 
 IMAGES = 256

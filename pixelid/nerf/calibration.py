@@ -25,7 +25,6 @@ from pixelid.model.model import Model
 from pixelid.model.shipped import find_model
 from pixelid.nerf.arrays import finite, has_none, intrinsics_of, read_arrays, scalar
 from pixelid.nerf.camera import DISTORTIONS, Camera, refuse_lens_without_inverse
-from pixelid.nerf.given import number
 from pixelid.nerf.pixel_maps import THRESHOLDS
 from pixelid.parameters.invariants import Physical
 from pixelid.recordings.events import MOST_PIXELS, MOST_SIDE
@@ -176,9 +175,8 @@ def of_fit(calibration: Calibration, folder: Path, scale: float | None = None) -
         The calibration with another circuit, and another black level where the fit has one.
 
     Raises:
-        InputError: no fit there, one without thresholds, a scale that is not above 0, or none when neither states it.
+        InputError: no fit there, one without thresholds, or no scale when neither states it.
     """
-    scale = None if scale is None else number("radiance_scale", scale, above=0.0)
     folder = Path(folder)
     file = folder / "model.toml" if folder.is_dir() else folder
     if not file.is_file():

@@ -25,9 +25,9 @@ from pixelid.nerf.state import Problem, State, learned, optimiser_of, start, tak
 from pixelid.nerf.stopping import Look
 from pixelid.outputs import set_aside, whole_file
 
-FORMAT = "pixelid-reconstruction-checkpoint-3"
-# Before fields lay in bricks, before held-out events chose
-OLDER = ("pixelid-reconstruction-checkpoint", "pixelid-reconstruction-checkpoint-2")
+FORMAT = "pixelid-reconstruction-checkpoint-4"
+# Before fields lay in bricks, before held-out events chose, while bricks could come back
+OLDER = tuple(f"pixelid-reconstruction-checkpoint{number}" for number in ("", "-2", "-3"))
 
 
 def run_identity(problem: Problem, recipe: Recipe, bandwidth: Bandwidth, inputs: dict[str, str]) -> str:
@@ -118,8 +118,7 @@ def _bricks(document: dict, field: Field) -> Bricks:
     shapes = (bricks.rows, *field.grid.shape[1:]), (bricks.rows, *field.coefficients.shape[1:])
     if vertices < field.vertices or (grid.shape, coefficients.shape) != shapes:
         raise ValueError(f"{vertices} vertices, grid {tuple(grid.shape)}, coefficients {tuple(coefficients.shape)}")
-    shaped = (document["occupied"].shape, document["young"].shape) == (blocks(vertices), bricks.index.shape)
-    if not shaped or not (grid.isfinite().all() and coefficients.isfinite().all()):
+    if document["occupied"].shape != blocks(vertices) or not (grid.isfinite().all() and coefficients.isfinite().all()):
         raise ValueError("occupied, or numbers that are not finite")
     return bricks
 

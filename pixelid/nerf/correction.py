@@ -31,23 +31,39 @@ class Correction:
 
 def fit_correction(radiance: np.ndarray, images: np.ndarray, exposure: np.ndarray) -> Correction:
     """The correction that takes predicted radiance (n, H, W, C) closest to images (n, H, W, C), exposure (n,)."""
-    fitted = [
-        _one_colour(radiance[..., k].reshape(len(images), -1), images[..., k].reshape(len(images), -1), exposure)
-        for k in range(images.shape[-1])
-    ]
-    a, b, c = np.array(fitted).T
-    return Correction(a, b, c)
+    L, target, scale = _columns(radiance, images, exposure)
+    each = [_fitted(L[:, [k]], target[:, [k]], scale, *_log_affine(L[:, k], target[:, k], scale[:, 0]))
+            for k in range(L.shape[1])]  # fmt: skip
+    return Correction(*(np.concatenate([getattr(one, name) for one in each]) for name in ("a", "b", "c")))
 
 
 def fit_shared_correction(radiance: np.ndarray, images: np.ndarray, exposure: np.ndarray) -> Correction:
     """As `fit_correction`, with one exponent for all colours: the least squared error over them together."""
     alone = fit_correction(radiance, images, exposure)
-    colours = images.shape[-1]
-    if colours == 1:
+    if len(alone.a) == 1:
         return alone
-    L = np.maximum(radiance.reshape(-1, colours), SMALLEST)
-    logs, target = np.log(L), images.reshape(-1, colours)
+    return _fitted(*_columns(radiance, images, exposure), np.maximum(alone.a, SMALLEST), alone.b.mean(), alone.c)
+
+
+def _columns(radiance, images, exposure) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(radiance (N, C), images (N, C), exposure (N, 1)) of all pixels of all views."""
+    colours = images.shape[-1]
     scale = np.repeat(exposure, radiance.shape[1] * radiance.shape[2])[:, None]
+    return np.maximum(radiance.reshape(-1, colours), SMALLEST), images.reshape(-1, colours), scale
+
+
+def _log_affine(L, image, scale) -> tuple[np.ndarray, float, np.ndarray]:
+    """(a (1,), b, c (1,)) of a straight line in logs of one colour (N,), where c is 0."""
+    x, z = np.log(L), np.log(np.maximum(image / scale, SMALLEST))
+    spread = ((x - x.mean()) ** 2).sum()
+    b = float(((x - x.mean()) * (z - z.mean())).sum() / spread) if spread > 1e-12 else 1.0
+    b = min(max(b, 0.05), 5.0)
+    return np.array([np.exp(z.mean() - b * x.mean())]), b, np.zeros(1)
+
+
+def _fitted(L: np.ndarray, target: np.ndarray, scale: np.ndarray, a: np.ndarray, b: float, c: np.ndarray) -> Correction:
+    """The correction of colours (N, C) with one exponent, from a (C,), b, c (C,)."""
+    logs, colours = np.log(L), L.shape[1]
 
     def unpacked(p):
         return np.exp(p[:colours]), p[colours], p[colours + 1 :]
@@ -65,28 +81,7 @@ def fit_shared_correction(radiance: np.ndarray, images: np.ndarray, exposure: np
             rows[:, k, colours + 1 + k] = -scale[:, 0]
         return rows.reshape(-1, 2 * colours + 1)
 
-    first = np.concatenate([np.log(np.maximum(alone.a, SMALLEST)), [alone.b.mean()], alone.c])
+    first = np.concatenate([np.log(a), [b], c])
     solution = least_squares(residual, first, jac=jacobian, method="trf", max_nfev=STEPS + 1)  # type: ignore[arg-type]
     a, b, c = unpacked(solution.x)
     return Correction(a, np.full(colours, b), c)
-
-
-def _one_colour(radiance, image, exposure) -> tuple[float, float, float]:
-    L = np.maximum(radiance, SMALLEST).ravel()
-    scale = np.repeat(exposure, radiance.shape[1])
-    y = image.ravel()
-    x, z = np.log(L), np.log(np.maximum(y / scale, SMALLEST))
-    spread = ((x - x.mean()) ** 2).sum()
-    b = float(((x - x.mean()) * (z - z.mean())).sum() / spread) if spread > 1e-12 else 1.0
-    b = min(max(b, 0.05), 5.0)
-    a = float(np.exp(z.mean() - b * x.mean()))
-
-    def residual(p):
-        return scale * (np.exp(p[0]) * L ** p[1] - p[2]) - y
-
-    def jacobian(p):
-        power = scale * np.exp(p[0]) * L ** p[1]
-        return np.column_stack([power, power * x, -scale])
-
-    solution = least_squares(residual, [np.log(a), b, 0.0], jac=jacobian, method="trf", max_nfev=STEPS + 1)  # type: ignore[arg-type]
-    return float(np.exp(solution.x[0])), float(solution.x[1]), float(solution.x[2])

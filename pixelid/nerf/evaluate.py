@@ -9,6 +9,7 @@ from functools import lru_cache
 import numpy as np
 import torch
 
+from pixelid.nerf.camera import sub_pixel_directions
 from pixelid.nerf.correction import Correction, fit_correction, fit_shared_correction
 from pixelid.nerf.field import Field
 from pixelid.nerf.render import Rays
@@ -75,9 +76,7 @@ def render_views(field: Field, views: Views, dark, *, supersample: int = 1) -> n
         (n, H, W, C) radiance, the black level included.
     """
     camera = views.camera
-    y, x = np.mgrid[: camera.height, : camera.width]
-    offset = (np.arange(supersample) + 0.5) / supersample - 0.5
-    inside = [camera.directions(np.column_stack([x.ravel() + dx, y.ravel() + dy])) for dy in offset for dx in offset]
+    inside = sub_pixel_directions(camera, supersample).reshape(-1, supersample**2, 3).swapaxes(0, 1)
     channels = len(np.atleast_1d(dark))
     out = np.zeros((len(views), camera.height, camera.width, channels))
     with torch.no_grad():
@@ -113,7 +112,7 @@ def score(predicted: np.ndarray, views: Views, correction: Correction) -> Scores
     )
 
 
-def evaluate(field: Field, validation: Views, test: Views, dark, supersample: int = 1) -> Scores:
+def evaluate(field: Field, validation: Views, test: Views, dark) -> Scores:
     """Correct on the validation views, score on the test views.
 
     Args:
@@ -121,17 +120,14 @@ def evaluate(field: Field, validation: Views, test: Views, dark, supersample: in
         validation: views that fix the correction a·Lᵇ − c.
         test: views that are scored.
         dark: (C,) black level that the field does not hold.
-        supersample: rays per pixel and side.
 
     Returns:
         Scores of every test view, of which there may be none.
     """
     if len(test) == 0:
         return no_scores(test)
-    correction = fit_correction(
-        render_views(field, validation, dark, supersample=supersample), validation.images, validation.exposure
-    )
-    return score(render_views(field, test, dark, supersample=supersample), test, correction)
+    correction = fit_correction(render_views(field, validation, dark), validation.images, validation.exposure)
+    return score(render_views(field, test, dark), test, correction)
 
 
 def evaluate_as_published(field: Field, test: Views, dark) -> Scores:

@@ -21,10 +21,6 @@ from pixelid.nerf.render import Box, Rays, read_off, render
 
 EMPTY = 0.02  # opacity of one step below which a block is skipped
 WHOLE = 161  # vertices per side up to which no brick is given up: 90 MB where there is one colour
-# Opacity of one step of a brick that is asked for: above `EMPTY`, and far enough for a hundred late steps to clear it.
-# Below, where gradients are as much smaller, it cleared whether asked for or not.
-ASKED = 0.1
-YOUNG = 2  # times that bricks follow the scene, for which one that was asked for is kept and draws no others to it
 GROWN = 0.01  # opacity of one step that a brick begins with where a scene grows into it: not clear, hardly seen
 
 
@@ -65,7 +61,6 @@ class Field(torch.nn.Module):
         self.grid = torch.nn.Parameter(grid)
         self.coefficients = torch.nn.Parameter(coefficients, requires_grad=trained)
         self.occupied = np.ones(blocks(bricks.vertices), np.uint8)
-        self.young = np.zeros(bricks.index.shape, np.uint8)
 
     def hold(self, bricks: Bricks, grid: torch.Tensor, coefficients: torch.Tensor | None = None) -> None:
         """Take other rows for its own, in place; the values are copied, and coefficients zero where none are given."""
@@ -158,39 +153,14 @@ class Field(torch.nn.Module):
         points = np.minimum(bricks.vertex_of_rows() / (bricks.vertices - 1), 1.0)
         return read_off(held.flatten(1), points, self.bricks).reshape(len(points), *held.shape[1:])
 
-    def follow(self, asked: np.ndarray | None = None, asked_radiance: np.ndarray | None = None) -> np.ndarray | None:
-        """Give up bricks far from what is shown, and add those that it grows into or that are asked for.
-
-        Args:
-            asked: (b, b, b) bool, bricks to hold as well (`revival`).
-            asked_radiance: (k, C) log radiance of these.
+    def follow(self) -> np.ndarray | None:
+        """Give up bricks far from what is shown, and add those that it grows into, of their neighbours' colour.
 
         Returns:
             (rows,) which row each was before, −1 for those that are new;  None when nothing has changed.
         """
-        if self.vertices <= WHOLE:
-            return None
-        was, young = self.bricks.index > 0, np.maximum(self.young, 1) - 1
-        asked = np.zeros_like(was) if asked is None else asked & ~was
-        young[asked] = YOUNG
-        drawing = (self.occupied > 0) & (young[tuple(slice(k) for k in self.occupied.shape)] == 0)
-        there = self.bricks.around(drawing) | (young > 0)
-        new = there & ~was
-        density = np.where(asked[new], math.log(ASKED / self.step), math.log(GROWN / self.step))
-        radiance = self._colour_beside(new)
-        if asked_radiance is not None:
-            radiance[asked[new]] = asked_radiance
-        rows = self.rearrange(there, density, radiance)
-        self.young = young
-        return rows
-
-    def rearrange(self, there: np.ndarray, log_density: np.ndarray, log_radiance: np.ndarray) -> np.ndarray | None:
-        """Hold the bricks there (b, b, b), in place; the new ones, in the order of their places, uniform.
-
-        log_density: (k,) and log_radiance: (k, C) of these;  returns what `follow` does
-        """
-        was = self.bricks.index > 0
-        if (there == was).all():
+        was, there = self.bricks.index > 0, self.bricks.around(self.occupied)
+        if self.vertices <= WHOLE or (there == was).all():
             return None
         bricks, occupied = Bricks.where(self.vertices, there), self.occupied
         before = self.bricks.index[there].astype(np.int64)
@@ -199,7 +169,9 @@ class Field(torch.nn.Module):
         kept = torch.as_tensor(np.maximum(rows, 0), device=self.grid.device)
         new = torch.as_tensor(rows < 0, device=self.grid.device)
         grid, coefficients = self.grid.detach()[kept], self.coefficients.detach()[kept]
-        uniform = torch.as_tensor(np.column_stack([log_density, log_radiance]), dtype=grid.dtype, device=grid.device)
+        radiance = self._colour_beside(there & ~was)
+        uniform = np.column_stack([np.full(len(radiance), math.log(GROWN / self.step)), radiance])
+        uniform = torch.as_tensor(uniform, dtype=grid.dtype, device=grid.device)
         grid[new] = uniform.repeat_interleave(ROWS, dim=0)
         coefficients[new] = 0.0
         self._hold(bricks, grid, coefficients, self.coefficients.requires_grad)

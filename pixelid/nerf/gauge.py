@@ -19,7 +19,6 @@ import numpy as np
 from pixelid.errors import InputError
 from pixelid.nerf.camera import Camera
 from pixelid.nerf.dataset import Dataset, evaluation_views
-from pixelid.nerf.given import number, one_of
 from pixelid.nerf.trajectory import Trajectory
 from pixelid.nerf.views import FOLDER, Views
 
@@ -27,7 +26,6 @@ from pixelid.nerf.views import FOLDER, Views
 PARALLEL = 1e-4
 SEEING = 0.9  # share of the poses that have the middle of the box ahead of them
 CLOSEST = 0.01  # of the way that the camera goes: closer is not ahead
-SCALES = ("auto", "level", "free")
 CLOSE_PIXELS = 0.5  # pixels: about half the width of the field's edges, and what a scene resolves
 POINTS = 2000  # over the box and the trajectory, that tell how fast the image moves
 UNIFORM = 0.03  # standard deviation of ln L along the borders, below which they show a background
@@ -67,14 +65,11 @@ def gauge_of(dataset: Dataset, background: float | None = None, scale: str = "au
     """The gauge of a dataset.
 
     background: overrides what its views show; where another scale is asked for, what training begins with;  scale:
-    one of `SCALES`, "auto" for the background where there is one
+    "auto" (the background where there is one), "level" or "free"
 
     Raises:
-        InputError: another scale than these, a background that is not above 0; the scale is to come from views, and the
-            dataset has none.
+        InputError: the scale is to come from views, and the dataset has none.
     """
-    one_of("scale", scale, SCALES)
-    background = None if background is None else number("background", background, above=0.0)
     channels = dataset.calibration.channels
     reference, _ = evaluation_views(dataset)
     if len(reference) == 0:

@@ -15,7 +15,6 @@ import numpy as np
 import torch
 from numba import njit
 
-HIGHEST_DEGREE = 2
 _FIRST, _MIXED, _POLAR = math.sqrt(3.0), math.sqrt(15.0), 0.5 * math.sqrt(5.0)
 
 

@@ -13,8 +13,9 @@ import numpy as np
 
 from pixelid.nerf import parallel
 from pixelid.nerf.bricks import Bricks
+from pixelid.nerf.options import AUTO
 from pixelid.nerf.recipe import Recipe
-from pixelid.nerf.regularisation import AHEAD, AUTO, FACTORS, Regularisation, chosen
+from pixelid.nerf.regularisation import AHEAD, FACTORS, Regularisation, chosen
 from pixelid.nerf.residuals import loss_of_pixels, rows_of
 from pixelid.nerf.state import Problem, State, learned, take
 from pixelid.nerf.stopping import Look
@@ -73,8 +74,7 @@ def _copied(state: State) -> dict:
 
 
 def _to_choose(problem: Problem, recipe: Recipe, state: State) -> bool:
-    smooth = recipe.roughness > 0 or recipe.density_roughness > 0
-    asked = recipe.regularisation == AUTO and smooth and len(problem.held_out.starts) > 0
+    asked = recipe.regularisation == AUTO and recipe.roughness > 0 and len(problem.held_out.starts) > 0
     return asked and state.iteration == recipe.last_stage and not state.regularisation.trials
 
 

@@ -25,15 +25,13 @@ from pixelid.dynamics.of_circuit import dynamics_of
 from pixelid.dynamics.slew import without_slew_limit
 from pixelid.dynamics.trajectory import Dynamics
 from pixelid.nerf.additions import ADDITIONS
-from pixelid.nerf.given import whole_number
+from pixelid.nerf.options import TRAINABLE, Options
 from pixelid.nerf.pixel_maps import PixelMaps, maps_of_circuit
 from pixelid.stages.circuit import Circuit
 
 FILTER = ("alpha", "beta", "gamma", "follower")
 PHOTORECEPTOR = ("alpha", "beta", "gamma")  # of them, those of a second-order photoreceptor
 FACTORS = (*FILTER, "threshold", "ratio")
-TRAINABLE = ("threshold", "ratio", *ADDITIONS)  # whatever is done of the filter
-MOST_SAMPLES = 1000  # of the past
 PRIOR_SD = 1.5  # of ln(factor), when no fit says better
 
 
@@ -51,8 +49,10 @@ class Bandwidth:
     prior_sd: dict[str, float] | None = None
     trained: tuple[str, ...] = ()
 
-    def __post_init__(self) -> None:
-        whole_number("samples", self.samples, 1, MOST_SAMPLES)
+    @classmethod
+    def of(cls, options: Options) -> Bandwidth:
+        """What options ask for."""
+        return cls(options.bandwidth, options.samples, trained=options.trained)
 
     @property
     def moving(self) -> tuple[str, ...]:

@@ -17,7 +17,6 @@ import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
-from pixelid.nerf.given import number, numbers
 from pixelid.nerf.render import threads
 from pixelid.nerf.trajectory import Trajectory
 
@@ -39,14 +38,9 @@ class Refinement:
 
     @classmethod
     def of(cls, time_sd: float | None, poses_sd: Sequence[float] | None) -> Refinement:
-        """From what a user says: s, and (scene's unit, degrees); None for what is not trained.
-
-        Raises:
-            InputError: a time that is not above 0, or other than two numbers of at least 0.
-        """
-        time_s = 0.0 if time_sd is None else number("refine_time", time_sd, above=0.0)
-        position, degrees = (0.0, 0.0) if poses_sd is None else numbers("refine_poses", poses_sd, 2, least=0.0)
-        return cls(time_s, position, math.radians(degrees))
+        """From s, and (scene's unit, degrees); None for what is not trained."""
+        position, degrees = poses_sd or (0.0, 0.0)
+        return cls(time_sd or 0.0, position, math.radians(degrees))
 
     @property
     def moves(self) -> bool:

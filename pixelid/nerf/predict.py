@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from pixelid.nerf.intervals import Chains, Intervals, chains
-from pixelid.nerf.losses import Weights, amplifier_drift, changes, terms, total
+from pixelid.nerf.losses import amplifier_drift, changes
 from pixelid.nerf.past import past_of
 from pixelid.nerf.pixel import Pixel
 from pixelid.nerf.quiet import LAGS, Pairs, draw_pairs
@@ -25,13 +25,8 @@ def _samples(batch: Chains, rng: np.random.Generator) -> tuple[np.ndarray, np.nd
 
 
 def _rays_at(problem: Problem, state: State, t: np.ndarray, pixel: np.ndarray, offsets: np.ndarray) -> Rays:
-    """The rays of pixels (n,) at times t (n,), a sample's together; offsets: (n,) of `Rays`."""
-    inside = state.inside
-    each = len(inside) // len(problem.channel)
-    pixel = np.repeat(pixel, each)
-    sub = np.tile(np.arange(each), len(t))
-    origins, directions = state.poses.rays(np.repeat(t, each), inside[pixel * each + sub])
-    return Rays(origins, directions, problem.channel[pixel], np.repeat(offsets, each))
+    """The rays of pixels (n,) at times t (n,); offsets: (n,) of `Rays`."""
+    return Rays(*state.poses.rays(t, state.inside[pixel]), problem.channel[pixel], offsets)
 
 
 def light(
@@ -44,7 +39,7 @@ def light(
         shared = np.repeat(rng.random(len(pairs.t), dtype=np.float32), 2)
         t, pixel = np.concatenate([t, pairs.t.ravel()]), np.concatenate([pixel, np.repeat(pairs.pixel, 2)])
         offsets = np.concatenate([offsets, shared])
-    radiance = state.field(_rays_at(problem, state, t, pixel, offsets), engine)[0].reshape(len(t), -1).mean(dim=1)
+    radiance = state.field(_rays_at(problem, state, t, pixel, offsets), engine)[0]
     dark = torch.as_tensor(problem.dark[problem.channel[pixel]])
     u = torch.log((radiance.double() + dark.to(radiance.device)).clamp(min=EPSILON))
     return u[: len(batch.t)], u[len(batch.t) :].reshape(-1, 2)
@@ -71,15 +66,6 @@ def response(problem: Problem, state: State, batch: Chains, u: torch.Tensor, eng
         cutoff = dynamics[..., 6:7] if pixel.has_amplifier_pole else None
     change = changes(level, output, batch, cutoff, later, drift)
     return change - _moved_thresholds(problem, pixel, batch), level
-
-
-def compared(
-    problem: Problem, weights: Weights, state: State, batch: Chains, u: torch.Tensor, engine: str = "auto"
-) -> tuple[torch.Tensor, dict[str, torch.Tensor], torch.Tensor]:  # fmt: skip
-    """(loss of events, its terms, change (runs, CHAIN)) of a batch whose samples have log radiance u (n,)."""
-    change, level = response(problem, state, batch, u, engine)
-    parts = terms(change, level, batch, *state.pixel.thresholds_at(batch.pixel), state.pixel.growth)
-    return total(parts, weights), parts, change
 
 
 def _moved_thresholds(problem: Problem, pixel: Pixel, batch: Chains) -> torch.Tensor:
@@ -125,5 +111,5 @@ def _radiance_at(problem: Problem, state: State, t: np.ndarray, pixel: np.ndarra
     """(n,) radiance, dark current included, that pixels (n,) see at times (n,); nothing is trained by it."""
     with torch.no_grad():
         rays = _rays_at(problem, state, t, pixel, np.full(len(t), 0.5, np.float32))
-        radiance = state.field(rays)[0].reshape(len(t), -1).mean(dim=1)
+        radiance = state.field(rays)[0]
     return radiance.cpu().numpy().astype(float) + problem.dark[problem.channel[pixel]]

@@ -13,7 +13,6 @@ from pixelid.nerf.additions import tilts
 from pixelid.nerf.calibration import Calibration
 from pixelid.nerf.dataset import Dataset
 from pixelid.nerf.gauge import CLOSE_PIXELS, crossing_time, gauge_of, scene_box
-from pixelid.nerf.given import number, numbers
 from pixelid.nerf.image_speed import crossing_times
 from pixelid.nerf.intervals import Intervals, intervals, split
 from pixelid.nerf.pixel_maps import PixelMaps, find_hot, maps_of_circuit, rate_of_hot
@@ -69,17 +68,16 @@ def problem_of(
         What training works on.
 
     Raises:
-        InputError: no pixel has two events, the box has no inside, or another argument is none that can be.
+        InputError: no pixel has two events, or the box has no inside.
     """
     calibration = dataset.calibration if calibration is None else calibration
     camera, gauge = calibration.camera, gauge_of(dataset, background, scale)
     if box is None:
         low, high = scene_box(dataset.trajectory, camera.half_angle)
     else:
-        low, high = np.array(numbers("--box", box, 6)).reshape(2, 3)
+        low, high = np.array(box, float).reshape(2, 3)
     if not (high > low).all():
         raise InputError(f"--box: expected low corner below high corner, found {[*low.tolist(), *high.tolist()]}")
-    near = number("--near", near, least=0.0)
     circuit = calibration.circuit
     maps = maps_of_circuit(circuit, camera.width * camera.height) if maps is None else maps
     t, x, y, on = dataset.t, dataset.x, dataset.y, dataset.on

@@ -10,30 +10,25 @@ from typing import Any
 import numpy as np
 
 from pixelid.nerf.contraction import SIDE
-from pixelid.nerf.given import one_of, whole_number
-from pixelid.nerf.harmonics import HIGHEST_DEGREE
 from pixelid.nerf.intervals import CHAIN
 from pixelid.nerf.losses import Weights
+from pixelid.nerf.options import BATCH, STEPS, Options
 from pixelid.nerf.poses import Refinement
-from pixelid.nerf.regularisation import CHOICES, USUAL
-from pixelid.nerf.trajectory import BETWEEN_POSES
 
 MOST_CELLS = (32, 512)  # per side, of a sensor that leaves them open
 MOST_AT_ONCE = 160  # cells per side up to which a field is refined by halves, beyond by doubling
 # Of `--steps auto`.  The default recipe (1200 steps of 320 chains) was chosen on scenes of 64 × 64 pixels with some
 # 1e5 changes: the same batch per change and as many looks at each, within what a training may take.
 VISITS = 60
-BATCH_SHARE = 320 / 1e5
-SMALLEST_BATCH, LARGEST_BATCH = 320, 4096
-STEPS = (600, 30_000)
+BATCH_SHARE = BATCH / 1e5
+SMALLEST_BATCH, LARGEST_BATCH = BATCH, 4096
+LEAST_STEPS, MOST_STEPS = 600, 30_000
 # Of memory, so that all batches fit: a step takes 2 kB per sample on the CPU, and a chain has 24 samples and 2.4 for
 # each of the past (measured at 1, 30 and 100 of them); three quarters are left to events, field and everybody else.
 BYTES_PER_SAMPLE, SAMPLES_PER_CHAIN, SAMPLES_PER_PAST = 2000, 24.0, 2.4
 MEMORY_SHARE = 0.25
-AUTO = "auto"  # steps by the number of changes
-CELLS, MOST_STEPS, MOST_BATCH = (8, 512), 1_000_000_000, 10_000_000  # what may be asked for
-MOST_SEED = 2**32 - 1  # of `cli.options.SEED`
 ELSEWHERE = ("iterations", "seed")  # in reconstruction.json
+FIXED = {"density_roughness": 0.0, "supersample": 1, "revival": False}  # of its format: what no recipe changes
 
 
 @dataclass(frozen=True)
@@ -42,25 +37,23 @@ class Recipe:
 
     iterations: steps, 0 for as many as the data ask for;  batch: chains per step (over all processes), 0 likewise;
     vertices: grid sizes, each for an equal share of the steps (empty: `for_sensor` chooses);  rate, last_rate: learning
-    rate, decaying exponentially;  weights: λ;  roughness, density_roughness: λ of the total variation of
-    log radiance and of log density;  regularisation: "usual", or "auto" where held-out events choose a factor of both;
+    rate, decaying exponentially;  weights: λ;  roughness: λ of the total variation of
+    log radiance;  regularisation: "usual", or "auto" where held-out events choose a factor of it;
     emptiness: λ of the mean log density, which clears what no event asks for;  quiet: λ of changes where nothing fired;
     degree: of the harmonics by which colour depends on the direction;  stiffness: λ of their mean square;  level: λ of
     the mean log radiance when the gauge needs it;  between_poses: "linear" or "cubic", how the camera went;
-    refinement: of the poses;  engine: of `render` and `respond`;  supersample: rays per pixel and side;  unbounded:
-    whether space beyond the box is part of the field, contracted (`contraction`);  revival: whether bricks that
-    events ask for come back (`revival`)
+    refinement: of the poses;  engine: of `render` and `respond`;  unbounded: whether space beyond the box is part of
+    the field, contracted (`contraction`)
     """
 
-    iterations: int = 1200
-    batch: int = 320
+    iterations: int = STEPS
+    batch: int = BATCH
     vertices: tuple[int, ...] = ()
     rate: float = 0.1
     last_rate: float = 0.01
     weights: Weights = dataclasses.field(default_factory=Weights)
     roughness: float = 0.05
-    density_roughness: float = 0.0
-    regularisation: str = USUAL
+    regularisation: str = "usual"
     emptiness: float = 0.01
     quiet: float = 0.1
     degree: int = 1
@@ -69,54 +62,20 @@ class Recipe:
     between_poses: str = "linear"
     refinement: Refinement = dataclasses.field(default_factory=Refinement)
     engine: str = "auto"
-    supersample: int = 1
     unbounded: bool = False
-    revival: bool = False
     seed: int = 0
 
-    def __post_init__(self) -> None:
-        one_of("regularisation", self.regularisation, CHOICES)
-        one_of("between_poses", self.between_poses, BETWEEN_POSES)
-        whole_number("seed", self.seed, 0, MOST_SEED)
-
     @classmethod
-    def asked(
-        cls, *, steps: int | str | None = None, batch: int | None = None, cells: int | None = None, harmonics: int = 1,
-        between_poses: str = "linear", refinement: Refinement | None = None, regularisation: str = USUAL,
-        unbounded: bool = False,
-    ) -> Recipe:  # fmt: skip
-        """The recipe that a user asks for, the rest as usual.
-
-        Args:
-            steps: of training; `AUTO` for steps, and a batch that is not given, by the data.
-            batch: chains per step.
-            cells: of the field per side; by default one per pixel.
-            harmonics: degree by which colours depend on the direction.
-            between_poses: "linear" or "cubic".
-            refinement: of the poses.
-            regularisation: "usual", or "auto" where held-out events choose.
-            unbounded: whether the scene goes on beyond the box.
-
-        Raises:
-            InputError: a value that cannot be.
-        """
-        limits = (
-            ("iterations", None if steps == AUTO else steps, (1, MOST_STEPS)), ("batch", batch, (1, MOST_BATCH)),
-            ("cells", cells, CELLS), ("harmonics", harmonics, (0, HIGHEST_DEGREE)),
+    def of(cls, options: Options) -> Recipe:
+        """The recipe that options ask for; `AUTO` leaves steps, and a batch that is not given, to the data."""
+        auto = isinstance(options.iterations, str)
+        recipe = cls(
+            iterations=0 if isinstance(options.iterations, str) else options.iterations,
+            batch=options.batch or (0 if auto else BATCH), degree=options.harmonics,
+            between_poses=options.between_poses, refinement=Refinement.of(options.refine_time, options.refine_poses),
+            regularisation=options.regularisation, unbounded=options.unbounded, seed=options.seed,
         )  # fmt: skip
-        for name, value, (least, most) in limits:
-            if value is not None:
-                whole_number(name, value, least, most, f" or {AUTO!r}" if name == "iterations" else "")
-        usual = cls(
-            degree=int(harmonics), between_poses=between_poses, refinement=refinement or Refinement(),
-            regularisation=regularisation, unbounded=unbounded,
-        )  # fmt: skip
-        if steps == AUTO:
-            usual = dataclasses.replace(usual, iterations=0, batch=0)
-        elif steps is not None:
-            usual = dataclasses.replace(usual, iterations=int(steps))
-        recipe = dataclasses.replace(usual, batch=int(batch or usual.batch))
-        return recipe if cells is None else recipe.with_cells(int(cells))
+        return recipe if options.cells is None else recipe.with_cells(options.cells)
 
     def for_sensor(self, width: int) -> Recipe:
         """The recipe with grid sizes for a sensor `width` pixels wide: about one cell per pixel in the end.
@@ -149,13 +108,13 @@ class Recipe:
         most = LARGEST_BATCH if memory is None else min(LARGEST_BATCH, max(int(MEMORY_SHARE * memory / chain), 1))
         batch = self.batch or min(int(np.clip(changes * BATCH_SHARE, SMALLEST_BATCH, LARGEST_BATCH)), most)
         wanted = math.ceil(VISITS * changes / (CHAIN * batch) / 100) * 100
-        steps = self.iterations or int(np.clip(wanted, *STEPS))
+        steps = self.iterations or int(np.clip(wanted, LEAST_STEPS, MOST_STEPS))
         return dataclasses.replace(self, batch=batch, iterations=steps)
 
     def as_dict(self) -> dict[str, Any]:
         """What reconstruction.json says of it; steps and seed are stated elsewhere."""
         content = {name: value for name, value in dataclasses.asdict(self).items() if name not in ELSEWHERE}
-        return content | {"vertices": list(self.vertices), "weights": self.weights._asdict()}
+        return content | FIXED | {"vertices": list(self.vertices), "weights": self.weights._asdict()}
 
     @property
     def cells(self) -> int:

@@ -17,8 +17,6 @@ import numpy as np
 from pixelid.nerf.gain import Gain, paired
 from pixelid.nerf.limits import ALPHA
 
-USUAL, AUTO = "usual", "auto"
-CHOICES = (USUAL, AUTO)
 FACTORS = (1 / 3, 3.0)  # of the usual weights
 AHEAD = 1 / 30  # of all steps, that each weight is tried for
 
@@ -35,7 +33,7 @@ class Trial:
 
 @dataclass(frozen=True)
 class Regularisation:
-    """factor: of the weights of both total variations, in the last stage;  trials: that it was chosen by, if any."""
+    """factor: of the weight of the total variation, in the last stage;  trials: that it was chosen by, if any."""
 
     factor: float = 1.0
     trials: tuple[Trial, ...] = ()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -18,12 +18,13 @@ from pixelid.nerf.bricks import Bricks
 from pixelid.nerf.contraction import LEAST_VERTICES
 from pixelid.nerf.correction import Correction
 from pixelid.nerf.field import Field
-from pixelid.nerf.given import numbers
-from pixelid.nerf.harmonics import HIGHEST_DEGREE, number_of
+from pixelid.nerf.harmonics import number_of
+from pixelid.nerf.options import HIGHEST_DEGREE
+from pixelid.options import numbers
 from pixelid.results import Result, Table, check_kinds, number, read_result, required
 from pixelid.status import Status
 
-FIELD = "field.npz"
+FILE, FIELD = "reconstruction.json", "field.npz"
 DEGREES = {number_of(degree): degree for degree in range(HIGHEST_DEGREE + 1)}  # number of harmonics → degree
 
 
@@ -40,7 +41,7 @@ class SavedReconstruction(Result):
         >>> SavedReconstruction.load("out").to_dataframe()  # doctest: +SKIP
     """
 
-    FILE: ClassVar[str] = "reconstruction.json"
+    FILE: ClassVar[str] = FILE
 
     content: Mapping[str, Any]
     field: Field
@@ -54,6 +55,21 @@ class SavedReconstruction(Result):
     def advice(self) -> str:
         """What to do about it."""
         return self.content["advice"]
+
+    @property
+    def held_out(self) -> float:
+        """Share of held-out changes left unexplained."""
+        return self.content["held_out_residual"]
+
+    @property
+    def ignored(self) -> Sequence[str]:
+        """What is known of the pixel and the reconstruction does not model."""
+        return self.content["ignored"]
+
+    @property
+    def gap(self) -> Mapping[str, Any] | None:
+        """Effects found in the events, where they were looked for."""
+        return self.content.get("gap")
 
     @property
     def log_eps(self) -> float:
@@ -130,7 +146,7 @@ class SavedReconstruction(Result):
     @property
     def _found(self) -> str:
         """Effects found in the events, where they were looked for."""
-        gap = self.content.get("gap")
+        gap = self.gap
         if not gap:
             return ""
         names = [effect["name"] for effect in gap["effects"] if effect["heldout_gain"] is not None]
@@ -151,8 +167,8 @@ class SavedReconstruction(Result):
         """Write field.npz, the scene."""
         write_field(self.field, folder)
 
-    @classmethod
-    def load(cls, folder: str | Path) -> SavedReconstruction:
+    @staticmethod
+    def load(folder: str | Path) -> SavedReconstruction:
         """The scene of a folder.
 
         Args:
@@ -165,20 +181,20 @@ class SavedReconstruction(Result):
             InputError: no reconstruction there, a damaged one, or one that diverged.
         """
         folder = Path(folder)
-        content = read_result(folder, cls.FILE)
+        content = read_result(folder, FILE)
         check_kinds(
-            content, folder / cls.FILE, text=("status", "advice", "bandwidth"),
+            content, folder / FILE, text=("status", "advice", "bandwidth"),
             a_list_of_texts=("ignored", "unidentified"), a_table=("views", "pixel", "correction"),
             a_number=("seconds", "held_out_residual"),
         )  # fmt: skip
         needed = ("status", "advice", "views", "held_out_residual", "seconds", "ignored", "pixel", "correction")
-        required(content, folder, cls.FILE, *needed)
+        required(content, folder, FILE, *needed)
         if content["status"] == Status.diverged:  # what its field holds is no scene, and may be no numbers
             raise InputError(f"{folder}: the reconstruction diverged, there is no scene: {content['advice']}")
-        saved = cls(content, read_field(folder))
-        with interpreting(folder / cls.FILE, "a reconstruction"):
+        saved = SavedReconstruction(content, read_field(folder))
+        with interpreting(folder / FILE, "a reconstruction"):
             saved.summary()
-            _check_colours(content, folder / cls.FILE, saved.field.grid.shape[1] - 1)
+            _check_colours(content, folder / FILE, saved.field.grid.shape[1] - 1)
             if not (math.isfinite(saved.log_eps) and saved.log_eps >= 0):
                 raise ValueError(f"log_eps: expected a number of at least 0, found {saved.log_eps}")
         return saved

@@ -41,7 +41,7 @@ SEARCHED = ("refractory", "leak", "parasitic_photocurrent", "threshold_drift")
 HELD_OUT = 0.1  # share of the pixels that judge; the final training holds out less
 # Of the scene that candidates are judged on, as its false alarms were counted (tests): colours that depend on the
 # direction move with the camera, hence with time, and a drift of thresholds was named in two of three clean cameras.
-SCENE: dict[str, Any] = {"degree": 0, "roughness": 0.0, "density_roughness": 0.0, "quiet": 0.0, "revival": False}
+SCENE: dict[str, Any] = {"degree": 0, "roughness": 0.0, "quiet": 0.0}
 WARM, TRIAL = 1 / 3, 1 / 12  # shares of the recipe's steps: of the first scene, and of every candidate
 MOST_ROUNDS = 3
 # Times that the strengths of what was kept are renewed before the next round, at least and at most, until none moves by

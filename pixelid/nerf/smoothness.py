@@ -1,15 +1,14 @@
-"""What holds a field smooth, with gradients in one pass: total variation of its logs, mean square of harmonics.
+"""What holds a field smooth, with gradients in one pass: total variation of its log radiance, mean square of harmonics.
 
     V = Σ_axes mean |c(vertex) − c(next vertex along the axis)|      the mean also over colours
 
-c is log radiance, or log density, `EMPTIEST` where it is less: how clear clear space is, nothing asks.  Means are over
-all vertices of the box; where no brick is, nothing varies.
+c is log radiance.  Means are over all vertices of the box; where no brick is, nothing varies.
 Tensors would pass over the grid a dozen times; they remain for other devices, and as what the kernel is tested against.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -22,69 +21,33 @@ from pixelid.parallel import map_threads, ranges
 EMPTIEST = -6.0  # log density below which nothing is to be cleared
 
 
-class Variation(NamedTuple):
-    """Total variation of log density and of log radiance, scalars."""
-
-    density: torch.Tensor
-    radiance: torch.Tensor
-
-
-def variation(grid: torch.Tensor, bricks: Bricks, engine: str = "auto", *, density: bool = True) -> Variation:
-    """V of a grid (rows, 1 + C), log density first, both differentiable.
-
-    Args:
-        grid: of `bricks`.
-        bricks: where its rows are.
-        engine: as of `render`.
-        density: whether that of the density is asked for; else it is 0, and not looked for.
-
-    Returns:
-        Both variations.
-    """
-    if engine == "tensors" or (engine == "auto" and grid.device.type != "cpu"):
-        return _variation_of_tensors(grid, bricks, density)
-    return Variation(*_Variation.apply(grid, bricks, density))
-
-
-def _variation_of_tensors(grid: torch.Tensor, bricks: Bricks, density: bool) -> Variation:
-    def of(values: torch.Tensor) -> torch.Tensor:
-        total = values.new_zeros(())
-        for here, after in bricks.neighbours_on(grid.device):
-            total = total + (values.index_select(0, after) - values.index_select(0, here)).abs().sum()
-        return total * _share(bricks, values.shape[1])
-
-    return Variation(of(grid[:, : int(density)].clamp(min=EMPTIEST)), of(grid[:, 1:]))
-
-
-def _share(bricks: Bricks, features: int) -> float:
-    """One over the number of differences along an axis, of so many features."""
-    n = bricks.vertices
-    return 1.0 / ((n - 1) * n * n * max(features, 1))
+def variation(grid: torch.Tensor, bricks: Bricks, engine: str = "auto") -> torch.Tensor:
+    """V, differentiable, of the log radiance in a grid (rows, 1 + C) of `bricks`; engine: as of `render`."""
+    share = np.float32(1.0 / ((bricks.vertices - 1) * bricks.vertices**2 * (grid.shape[1] - 1)))
+    if engine != "tensors" and (engine != "auto" or grid.device.type == "cpu"):
+        return _Variation.apply(grid, bricks, share)
+    values, total = grid[:, 1:], grid.new_zeros(())
+    for here, after in bricks.neighbours_on(grid.device):
+        total = total + (values.index_select(0, after) - values.index_select(0, here)).abs().sum()
+    return total * float(share)
 
 
 class _Variation(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, grid: torch.Tensor, bricks: Bricks, density: bool):
+    def forward(ctx: Any, grid: torch.Tensor, bricks: Bricks, share: np.float32):
         values = grid.detach().numpy()
         by_grid, places = np.zeros_like(values), bricks.places()
-        shares = np.array([_share(bricks, 1), _share(bricks, values.shape[1] - 1)], np.float32)
         parts = map_threads(
-            lambda some: _fill(
-                values, places[some], bricks.index, bricks.vertices, 0 if density else 1,
-                np.float32(EMPTIEST), shares, by_grid,
-            ),
+            lambda some: _fill(values, places[some], bricks.index, bricks.vertices, share, by_grid),
             ranges(len(places), threads()), threads=threads(),
         )  # fmt: skip
         ctx.save_for_backward(torch.from_numpy(by_grid))
-        totals = np.sum(parts, axis=0) * shares
-        return grid.new_tensor(totals[0]), grid.new_tensor(totals[1])
+        return grid.new_tensor(np.sum(parts) * share)
 
     @staticmethod
     def backward(ctx: Any, *by_outputs: torch.Tensor):
         (by_grid,) = ctx.saved_tensors
-        by_density, by_radiance = by_outputs
-        features = by_radiance.expand(by_grid.shape[1] - 1)
-        return by_grid * torch.cat([by_density[None], features]), None, None
+        return by_grid * by_outputs[0], None, None
 
 
 def mean_log_density(grid: torch.Tensor, bricks: Bricks) -> torch.Tensor:
@@ -113,21 +76,20 @@ class _MeanSquare(torch.autograd.Function):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _fill(values, places, index, n, start, floor, shares, by_values):
-    """(density, radiance) Σ of the absolute differences that begin in bricks at places (k, 3), from feature `start` on.
+def _fill(values, places, index, n, share, by_values):
+    """Σ of the absolute differences of log radiance that begin in bricks at places (k, 3).
 
-    The gradient of their rows is filled in, times the share of each;  floor: of feature 0.
+    The gradient of their rows is filled in, times the share of each.
     """
-    depth, of_density, of_radiance = values.shape[1], 0.0, 0.0
+    every = 0.0
     here = np.zeros((SIDE + 2, SIDE + 2, SIDE + 2), np.float32)  # a brick and the nearest vertices of its neighbours
     slopes = np.zeros((SIDE, SIDE, SIDE), np.float32)
     for p in range(len(places)):
         x, y, z = places[p]
         base = np.int64(index[x, y, z]) * ROWS
         nx, ny, nz = min(n - SIDE * x, SIDE), min(n - SIDE * y, SIDE), min(n - SIDE * z, SIDE)
-        for feature in range(start, depth):
-            least = floor if feature == 0 else np.float32(-np.inf)
-            _gather(values, index, x, y, z, nx, ny, nz, feature, least, here)
+        for feature in range(1, values.shape[1]):
+            _gather(values, index, x, y, z, nx, ny, nz, feature, here)
             total = np.float32(0.0)
             for a in range(1, nx + 1):
                 for b in range(1, ny + 1):
@@ -138,18 +100,12 @@ def _fill(values, places, index, n, start, floor, shares, by_values):
                         slope = _sign(own - here[a - 1, b, c]) + _sign(own - here[a, b - 1, c])
                         slope += _sign(own - here[a, b, c - 1]) - _sign(in_x) - _sign(in_y) - _sign(in_z)
                         slopes[a - 1, b - 1, c - 1] = slope
-            share = shares[min(feature, 1)]
             for a in range(nx):
                 for b in range(ny):
                     for c in range(nz):
-                        at = np.uintp(base + (a * SIDE + b) * SIDE + c)
-                        if values[at, feature] >= least:
-                            by_values[at, feature] = share * slopes[a, b, c]
-            if feature == 0:
-                of_density += total
-            else:
-                of_radiance += total
-    return of_density, of_radiance
+                        by_values[np.uintp(base + (a * SIDE + b) * SIDE + c), feature] = share * slopes[a, b, c]
+            every += total
+    return every
 
 
 @njit(inline="always", error_model="numpy")
@@ -158,14 +114,14 @@ def _sign(x):
 
 
 @njit(inline="always", error_model="numpy")
-def _gather(values, index, x, y, z, nx, ny, nz, feature, least, here):
+def _gather(values, index, x, y, z, nx, ny, nz, feature, here):
     """Fill here (6, 6, 6) with a feature of brick (x, y, z), and of its neighbours where they touch its nx × ny × nz
     vertices; where no neighbour is, with the brick's own, from which nothing differs."""
     base, bricks = np.int64(index[x, y, z]) * ROWS, len(index)
     for a in range(nx):
         for b in range(ny):
             for c in range(nz):
-                here[a + 1, b + 1, c + 1] = max(values[np.uintp(base + (a * SIDE + b) * SIDE + c), feature], least)
+                here[a + 1, b + 1, c + 1] = values[np.uintp(base + (a * SIDE + b) * SIDE + c), feature]
     for axis in range(3):
         place, number = (x, nx) if axis == 0 else ((y, ny) if axis == 1 else (z, nz))
         sx, sy, sz = 1 if axis == 0 else 0, 1 if axis == 1 else 0, 1 if axis == 2 else 0
@@ -179,7 +135,7 @@ def _gather(values, index, x, y, z, nx, ny, nz, feature, least, here):
             for b in range(wide):
                 for c in range(deep):
                     i, j, k = _in_layer(axis, layer, b, c)
-                    value = max(values[np.uintp(first + (i * SIDE + j) * SIDE + k), feature], least)
+                    value = values[np.uintp(first + (i * SIDE + j) * SIDE + k), feature]
                     i, j, k = _in_layer(axis, at, b + 1, c + 1)
                     here[i, j, k] = value
 

@@ -14,7 +14,7 @@ import torch
 
 from pixelid.nerf.additions import IN_THRESHOLDS, Tilt, threshold_factor
 from pixelid.nerf.bricks import Bricks
-from pixelid.nerf.camera import Camera, sub_pixel_directions
+from pixelid.nerf.camera import Camera
 from pixelid.nerf.field import Field
 from pixelid.nerf.gauge import Gauge, time_resolution
 from pixelid.nerf.intervals import Intervals
@@ -95,7 +95,7 @@ class Problem:
 class State:
     """Everything that a step reads and changes.
 
-    inside: (pixels · rays, 3) directions in the camera frame, a pixel's together;  diverged: whether a loss was NaN or
+    inside: (pixels, 3) directions in the camera frame;  diverged: whether a loss was NaN or
     infinite; the state is then that before the step, and no further step is made;  seconds: of training, with what was
     before an interruption;  stopping,
     regularisation: what held-out events have said of both
@@ -142,7 +142,7 @@ def start(problem: Problem, recipe: Recipe, bandwidth: Bandwidth, device: str = 
         unbounded=recipe.unbounded,
     ).to(device)  # fmt: skip
     pixel = Pixel(problem.circuit, bandwidth, problem.maps).to(device)
-    inside = sub_pixel_directions(problem.camera, recipe.supersample)
+    inside = problem.camera.all_directions()
     poses = Poses(problem.trajectory, recipe.refinement).to(device)
     stopping = Stopping(looked_at(recipe.last_stage, recipe.iterations) if len(problem.held_out.starts) else ())
     return State(scene, pixel, poses, optimiser_of(scene, pixel, poses, recipe), inside, 0, stopping=stopping)
@@ -153,7 +153,7 @@ def learned(state: State) -> dict[str, Any]:
     scene = state.field
     return {
         "vertices": scene.vertices, "bricks": torch.from_numpy(scene.bricks.index),
-        "occupied": torch.from_numpy(scene.occupied), "young": torch.from_numpy(scene.young),
+        "occupied": torch.from_numpy(scene.occupied),
         "grid": scene.grid.detach().cpu(), "coefficients": scene.coefficients.detach().cpu(),
         **{name: values.detach().cpu() for name, values in _beside_rows(state).items()},
     }  # fmt: skip
@@ -166,7 +166,6 @@ def take(state: State, bricks: Bricks, values: Mapping[str, Any]) -> None:
         for name, own in _beside_rows(state).items():
             own.copy_(values[name])
     state.field.occupied = np.array(values["occupied"].cpu().numpy(), order="C")
-    state.field.young = np.array(values["young"].cpu().numpy(), order="C")
 
 
 def _beside_rows(state: State) -> dict[str, torch.Tensor]:
@@ -177,13 +176,10 @@ def _beside_rows(state: State) -> dict[str, torch.Tensor]:
     }  # fmt: skip
 
 
-def follow(state: State, asked: np.ndarray | None = None, asked_radiance: np.ndarray | None = None) -> None:
-    """Let the field's bricks follow the scene; what the optimiser has noted of those that stay stays.
-
-    asked, asked_radiance: of `Field.follow`
-    """
+def follow(state: State) -> None:
+    """Let the field's bricks follow the scene; what the optimiser has noted of those that stay stays."""
     before = state.field.grid, state.field.coefficients
-    source = state.field.follow(asked, asked_radiance)
+    source = state.field.follow()
     if source is None:
         return
     kept = torch.as_tensor(np.maximum(source, 0), device=state.field.grid.device)

@@ -13,11 +13,10 @@ import torch
 
 from pixelid.nerf import parallel
 from pixelid.nerf.field import WHOLE
-from pixelid.nerf.losses import quiet_change, unexplained, variance_left
-from pixelid.nerf.predict import EPSILON, compared, draw, draw_quiet, light, predict
+from pixelid.nerf.losses import quiet_change, terms, total, unexplained, variance_left
+from pixelid.nerf.predict import EPSILON, draw, draw_quiet, light, predict, response
 from pixelid.nerf.recipe import Recipe
 from pixelid.nerf.render import Rays
-from pixelid.nerf.revival import asked_for
 from pixelid.nerf.smoothness import mean_log_density, mean_square, variation
 from pixelid.nerf.state import Problem, State, follow, optimiser_of
 
@@ -42,13 +41,13 @@ def step(problem: Problem, recipe: Recipe, state: State) -> dict[str, float]:
     batch = draw(problem, state, problem.training, max(recipe.batch // parallel.world(), 1), rng)
     pairs = draw_quiet(problem, state, PAIRS * len(batch.pixel) if recipe.quiet > 0 else 0, rng)
     u, in_quiet = light(problem, state, batch, rng, recipe.engine, pairs)
-    loss, parts, change = compared(problem, recipe.weights, state, batch, u, recipe.engine)
-    growth = state.pixel.growth
-    if recipe.roughness > 0 or recipe.density_roughness > 0:
-        of_density = recipe.density_roughness > 0
-        varies = variation(state.field.grid, state.field.bricks, recipe.engine, density=of_density)
-        smooth = recipe.roughness * varies.radiance / growth + recipe.density_roughness * varies.density
-        loss = loss + state.regularisation.factor * smooth
+    change, level = response(problem, state, batch, u, recipe.engine)
+    thresholds, growth = state.pixel.thresholds_at(batch.pixel), state.pixel.growth
+    parts = terms(change, level, batch, *thresholds, growth)
+    loss = total(parts, recipe.weights)
+    if recipe.roughness > 0:
+        varies = variation(state.field.grid, state.field.bricks, recipe.engine)
+        loss = loss + state.regularisation.factor * (recipe.roughness * varies / growth)
     if recipe.emptiness > 0:
         loss = loss + recipe.emptiness * mean_log_density(state.field.grid, state.field.bricks)
     if recipe.stiffness > 0 and state.field.coefficients.requires_grad:
@@ -58,7 +57,7 @@ def step(problem: Problem, recipe: Recipe, state: State) -> dict[str, float]:
     if problem.gauge.kind == "level":
         loss = loss + recipe.level * _off_level(problem, state, recipe.engine, rng)
     if any(values.requires_grad for values in state.pixel.parameters()):
-        left = variance_left(change, batch, *state.pixel.thresholds_at(batch.pixel))
+        left = variance_left(change, batch, *thresholds)
         loss = loss + state.pixel.penalty(left) / max(len(problem.training.starts), 1)
     if state.poses.trained:
         loss = loss + state.poses.penalty() / max(len(problem.training.starts), 1)
@@ -72,20 +71,12 @@ def step(problem: Problem, recipe: Recipe, state: State) -> dict[str, float]:
     state.optimiser.step()
     state.pixel.keep_within_bounds()
     state.iteration += 1
-    state.rays += len(batch.t) * recipe.supersample**2
+    state.rays += len(batch.t)
     if state.iteration % 16 == 0 and state.iteration >= FIRST_LOOK:
         state.field.look_for_empty_blocks()
         if state.iteration % FOLLOW == 0:
-            _follow(problem, recipe, state)
+            follow(state)
     return measured
-
-
-def _follow(problem: Problem, recipe: Recipe, state: State) -> None:
-    """Let the bricks of a fine field follow the scene and, where the recipe says so, what events ask for."""
-    asked = None
-    if recipe.revival:
-        asked = asked_for(problem, recipe, state, np.random.default_rng([recipe.seed, 79, state.iteration]))
-    follow(state) if asked is None else follow(state, *asked)
 
 
 def _off_level(problem: Problem, state: State, engine: str, rng: np.random.Generator) -> torch.Tensor:

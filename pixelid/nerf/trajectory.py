@@ -16,7 +16,6 @@ from pixelid.parallel import map_threads, ranges
 
 FINER = 16  # poses per pose of a splined trajectory: a straight line between them leaves 1/256 of what it left before
 WORTH_THREADS = 1 << 14  # rays, some 1.5 ms of one thread: starting others takes 0.4
-BETWEEN_POSES = ("linear", "cubic")
 
 
 @dataclass(frozen=True)

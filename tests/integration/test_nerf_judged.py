@@ -27,7 +27,7 @@ from pixelid.nerf.state import State, start
 from pixelid.nerf.stopping import LOOKS
 from pixelid.nerf.train import held_out_residual
 
-RECIPE = Recipe(iterations=96, batch=32, vertices=(9, 17), density_roughness=1e-3)
+RECIPE = Recipe(iterations=96, batch=32, vertices=(9, 17))
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +86,7 @@ def test_the_factor_scales_both_variations(problem):
     """A step under a factor is the step of a recipe whose weights are as many times larger."""
     from pixelid.nerf.train import step
 
-    scaled = replace(RECIPE, roughness=3 * RECIPE.roughness, density_roughness=3 * RECIPE.density_roughness)
+    scaled = replace(RECIPE, roughness=3 * RECIPE.roughness)
     states = [start(problem, recipe, Bandwidth("off")) for recipe in (RECIPE, scaled, RECIPE)]
     states[0].regularisation = replace(states[0].regularisation, factor=3.0)
     for _ in range(3):

@@ -33,6 +33,7 @@ from pixelid.nerf.calibration import of_fit
 from pixelid.nerf.dataset import read_dataset
 from pixelid.nerf.evaluate import no_scores
 from pixelid.nerf.losses import Weights
+from pixelid.nerf.options import Options
 from pixelid.nerf.pixel import Bandwidth, limits_bandwidth
 from pixelid.nerf.poses import Refinement
 from pixelid.nerf.problem import problem_of
@@ -374,8 +375,9 @@ def test_sharp_bright_events_are_reconstructed(tmp_path):
 @pytest.mark.slow
 def test_a_scene_of_posed_images_stands_for_the_truth(shared):
     """Fitted to some of the posed pictures, it shows the others."""
+    from posed import scene_of_images
+
     from pixelid.nerf.camera import Camera
-    from pixelid.nerf.posed import scene_of_images
     from pixelid.nerf.views import LUMA, OPENGL
 
     data = np.load(shared / "recordings" / "lego_views_100px.npz")
@@ -442,7 +444,7 @@ def test_a_file_with_zero_capacitances_is_a_pixel_without_bandwidth_limit(made, 
     data = read_dataset(folder)
     assert not limits_bandwidth(data.calibration.circuit)
     psnr = [
-        reconstruct(data, bandwidth=Bandwidth(mode), recipe=SMALL, device="cpu").scores.psnr for mode in ("on", "off")
+        reconstruct(data, Options(bandwidth=mode, device="cpu"), recipe=SMALL).scores.psnr for mode in ("on", "off")
     ]
     assert np.isfinite(psnr).all()
     np.testing.assert_array_equal(psnr[0], psnr[1])
@@ -555,7 +557,7 @@ def test_a_pixel_alone_judges_nothing(made):
     mine = pixel == np.bincount(pixel).argmax()
     one = replace(data, t=data.t[mine], x=data.x[mine], y=data.y[mine], on=data.on[mine])
     with pytest.raises(InputError, match="held out"):
-        reconstruct(one, recipe=SMALL, gap=True)
+        reconstruct(one, Options(gap=True), recipe=SMALL)
     alone = reconstruct(one, recipe=replace(SMALL, iterations=2))
     assert alone.status is Status.not_identified
     assert "nothing was judged" in alone.advice
@@ -564,10 +566,10 @@ def test_a_pixel_alone_judges_nothing(made):
 def test_a_search_that_names_nothing_leaves_the_pixel_as_told(made):
     """Its own training is no prior: the scene is that of a run without a search."""
     data, told = read_dataset(made), Bandwidth("joint", 10, {"alpha": 0.05, "threshold": 0.05}, ("threshold",))
-    searched = reconstruct(data, bandwidth=told, recipe=SMALL, gap=True, device="cpu")
+    searched = reconstruct(data, Options(gap=True, device="cpu"), bandwidth=told, recipe=SMALL)
     assert searched.gap is not None
     assert searched.gap["effects"] == []
-    plain = reconstruct(data, bandwidth=told, recipe=SMALL, device="cpu")
+    plain = reconstruct(data, Options(device="cpu"), bandwidth=told, recipe=SMALL)
     assert searched.problem.circuit == plain.problem.circuit
     assert torch.equal(searched.state.pixel.factors, plain.state.pixel.factors)
     assert torch.equal(searched.state.field.grid, plain.state.field.grid)
@@ -606,14 +608,14 @@ def test_what_the_pixel_has_and_the_scene_ignores_is_said(made, tmp_path, capsys
 def test_a_preview_shows_the_scene_come_and_changes_no_number(made, tmp_path, views):
     data = read_dataset(made)
     data = data if views else replace(data, views={})
-    plain = reconstruct(data, recipe=SMALL, device="cpu")
+    plain = reconstruct(data, Options(device="cpu"), recipe=SMALL)
     seen = []
 
     def remember(what: str, share: float) -> None:
         if (tmp_path / "scene.png").is_file():
             seen.append(imread(tmp_path / "scene.png"))
 
-    watched = reconstruct(data, recipe=SMALL, device="cpu", preview=tmp_path / "scene.png", progress=remember)
+    watched = reconstruct(data, Options(device="cpu"), recipe=SMALL, preview=tmp_path / "scene.png", progress=remember)
     assert torch.equal(watched.state.field.grid, plain.state.field.grid)
     np.testing.assert_array_equal(watched.scores.psnr, plain.scores.psnr)
     last = imread(tmp_path / "scene.png")
@@ -675,12 +677,12 @@ def test_the_function_takes_what_the_command_takes(made, tmp_path):
     assert asked.published is not None
     assert result["published_protocol"]["psnr"] == asked.published.means()["psnr"]
     assert result["views"]["psnr"] == asked.scores.means()["psnr"]
-    auto = Recipe.asked(steps="auto")
+    auto = Recipe.of(Options(iterations="auto"))
     assert (auto.iterations, auto.batch) == (0, 0)
-    assert Recipe.asked(steps="auto", batch=7).batch == 7
-    assert Recipe.asked() == Recipe()
-    counted: dict[str, Any] = {name: np.int64(9) for name in ("steps", "batch", "cells")}
-    assert repr(Recipe.asked(**counted)) == repr(Recipe.asked(steps=9, batch=9, cells=9))
+    assert Recipe.of(Options(iterations="auto", batch=7)).batch == 7
+    assert Recipe.of(Options()) == Recipe()
+    counted: dict[str, Any] = {name: np.int64(9) for name in ("iterations", "batch", "cells")}
+    assert repr(Recipe.of(Options(**counted))) == repr(Recipe.of(Options(iterations=9, batch=9, cells=9)))
     with pytest.raises(InputError, match="iterations: expected"):
         px.reconstruct(made, iterations=0)
     wrongs: tuple[dict[str, Any], ...] = (

@@ -14,6 +14,7 @@ from pixelid.nerf import field as fields
 from pixelid.nerf.dataset import read_dataset
 from pixelid.nerf.evaluate import render_views
 from pixelid.nerf.losses import Weights
+from pixelid.nerf.options import Options
 from pixelid.nerf.pixel import Bandwidth
 from pixelid.nerf.poses import Refinement
 from pixelid.nerf.problem import problem_of
@@ -69,7 +70,7 @@ def test_what_holds_a_field_smooth_is_the_same():
     for device in DEVICES:
         field = ball(29).to(device)
         parts = (
-            *variation(field.grid, field.bricks), mean_log_density(field.grid, field.bricks),
+            variation(field.grid, field.bricks), mean_log_density(field.grid, field.bricks),
             mean_square(field.coefficients, field.bricks),
         )  # fmt: skip
         torch.stack(parts).sum().backward()
@@ -114,8 +115,8 @@ def test_a_fine_field_with_all_that_can_be_trained_is_saved_and_continued(made, 
 
 @pytest.mark.parametrize("gap", [False, True])
 def test_a_scene_is_reconstructed_and_opened_without_it(made, tmp_path, gap):
-    result = reconstruct(made, recipe=replace(SMALL, iterations=200), protocol="paper", gap=gap, device="cuda")
-    assert result.device == "cuda"
+    result = reconstruct(made, Options(protocol="paper", gap=gap, device="cuda"), recipe=replace(SMALL, iterations=200))
+    assert result.content["device"] == "cuda"
     assert np.isfinite(result.scores.psnr).all()
     result.save(tmp_path / "out")
     saved = SavedReconstruction.load(tmp_path / "out")

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
+import click
 import numpy as np
 import pytest
 import torch
@@ -197,7 +198,9 @@ def test_the_filter_can_be_trained_alone():
 def test_the_command_offers_what_can_be_trained():
     from pixelid.cli import reconstruct_command
 
-    assert reconstruct_command.TRAINABLE == TRAINABLE
+    (train,) = (p for p in reconstruct_command.command.params if "--train" in p.opts)
+    assert isinstance(train.type, click.Choice)
+    assert tuple(train.type.choices) == TRAINABLE == ("threshold", "ratio", *ADDITIONS)
 
 
 def a_calibration(circuit: Circuit) -> Calibration:

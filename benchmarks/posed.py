@@ -112,7 +112,7 @@ def fit_field(
         predicted, _ = field(rays)
         truth = torch.from_numpy(pixels[which, pixel].astype(np.float32))
         loss = ((predicted - truth) ** 2).mean() + EMPTINESS * mean_log_density(field.grid, field.bricks)
-        loss = loss + ROUGHNESS * variation(field.grid, field.bricks, density=False).radiance
+        loss = loss + ROUGHNESS * variation(field.grid, field.bricks)
         loss = loss + STIFFNESS * mean_square(field.coefficients, field.bricks)
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
