@@ -75,8 +75,8 @@ class _Compiled(torch.autograd.Function):
             samples, depths, colours = (np.empty(room, kind) for kind in (np.int32, np.float32, np.float32))
             kept = kernels.forward(
                 *(column[some] for column in rays), densities, looks, vertices, index, filled, away, box.low, box.high,
-                box.unbounded, box.near, box.step, behind, radiance[some], opacity[some], first, samples,
-                depths, colours,
+                True if box.unbounded else None, box.near, box.step, behind, radiance[some], opacity[some], first,
+                samples, depths, colours,
             )  # fmt: skip
             return first, *kept
 

@@ -117,7 +117,8 @@ def forward(
     origins, directions: (n, 3) float32;  channels: (n,) colour of each ray;  offsets: (n,) of the first sample in
     steps;  densities: (rows,) float32, logs;  looks: (rows, C, 1 + K) float32, log radiance and its harmonics, K may be
     0;  vertices: per side;  index: of `Bricks`;  filled, away: of `filled_cells`;  low, high: (3,) the box, the inner
-    one where the field is unbounded;  nearest: distance before which nothing is seen;  background: (C,) radiance
+    one where the field is unbounded;  unbounded: True or None, which is left out of the compiled walk;  nearest:
+    distance before which nothing is seen;  background: (C,) radiance
     behind it
     first: (n + 1,) where the samples of each ray begin, or (0,) when nobody asks for them;  samples, depths, colours:
     room for number of the step (int32), optical depth and radiance of samples that are not clear; larger arrays are
@@ -133,22 +134,19 @@ def forward(
         T, L = np.float32(1.0), np.float32(0.0)
         if keeping:
             first[i] = kept
-        if unbounded:
-            begin, until, entry, length, wide, reach = contraction.way(o, d, low, high, near, far, nearest, step)
-            if entry < FARTHEST * step:
-                while keeping and kept + (until - begin) / step + 2 > len(samples):
-                    samples, depths, colours = _longer(samples), _longer(depths), _longer(colours)
-                T, L, kept = _march_outwards(
-                    o, d, low, high, begin + offsets[i] * step, until, entry, length, wide, reach, step, c, basis,
-                    densities, looks, cells, index, filled, away, floor, keeping, samples, depths, colours, kept,
-                )  # fmt: skip
-        elif near < far < FARTHEST * step:
+        px, py, pz = (o[0] - low[0]) * sx, (o[1] - low[1]) * sy, (o[2] - low[2]) * sz
+        qx, qy, qz = d[0] * sx, d[1] * sy, d[2] * sz
+        way, hit = (0.0, 0.0, 1.0, 1.0), near < far < FARTHEST * step
+        if unbounded is not None:
+            near, far, entry, length, wide, reach = contraction.way(o, d, low, high, near, far, nearest, step)
+            way, hit = (entry, length, wide, reach), entry < FARTHEST * step
+            (px, qx), (py, qy), (pz, qz) = _inner(o, d, low, high)
+        if hit:
             while keeping and kept + (far - near) / step + 2 > len(samples):
                 samples, depths, colours = _longer(samples), _longer(depths), _longer(colours)
-            px, py, pz = (o[0] - low[0]) * sx, (o[1] - low[1]) * sy, (o[2] - low[2]) * sz
             T, L, kept = _march(
-                px, py, pz, d[0] * sx, d[1] * sy, d[2] * sz, near + offsets[i] * step, far, step, c, basis,
-                densities, looks, cells, index, filled, away, floor, keeping, samples, depths, colours, kept,
+                px, py, pz, qx, qy, qz, near + offsets[i] * step, far, unbounded, way, step, c, basis, densities,
+                looks, cells, index, filled, away, floor, keeping, samples, depths, colours, kept,
             )  # fmt: skip
         radiance[i] = L + T * background[c]
         opacity[i] = 1.0 - T
@@ -159,16 +157,27 @@ def forward(
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "afn", "reassoc"})
 def _march(
-    px, py, pz, qx, qy, qz, start, far, step, c, basis, densities, looks, cells, index, filled, away, floor,
-    keeping, samples, depths, colours, kept,
+    px, py, pz, qx, qy, qz, start, far, unbounded, way, step, c, basis, densities, looks, cells, index, filled, away,
+    floor, keeping, samples, depths, colours, kept,
 ):  # fmt: skip
-    """(transmittance, radiance, kept) at the end of one ray."""
+    """(transmittance, radiance, kept) at the end of one ray.
+
+    p + t q: along the ray, in cells; of an unbounded field in half sides of the inner box, where alone blocks are left in
+    one stride;  way: (entry, length, wide, reach) of `contraction.way`
+    """
     flat, each, number, last = looks.reshape(-1), looks.shape[2], looks.shape[1] * looks.shape[2], cells - 1
-    rate_x, rate_y, rate_z = _per_cell(qx, step), _per_cell(qy, step), _per_cell(qz, step)
-    k, t = 0, start
+    scale, (entry, length, wide, reach) = cells / (2.0 * contraction.SIDE), way
+    stride = scale if unbounded is not None else 1.0
+    rate_x, rate_y, rate_z = _per_cell(qx * stride, step), _per_cell(qy * stride, step), _per_cell(qz * stride, step)
+    k, tau = 0, start
     T, L = np.float32(1.0), np.float32(0.0)
-    while t < far:
-        x, y, z = px + t * qx, py + t * qy, pz + t * qz
+    while tau < far:
+        x, y, z = px + tau * qx, py + tau * qy, pz + tau * qz
+        if unbounded is not None:
+            t, growth = contraction.distance(tau, entry, length, wide, reach)
+            x, y, z = px + t * qx, py + t * qy, pz + t * qz
+            shrunk, norm = contraction.shrink(x, y, z)
+            x, y, z = _in_grid(x, shrunk, scale), _in_grid(y, shrunk, scale), _in_grid(z, shrunk, scale)
         ix, iy, iz = min(max(int(x), 0), last), min(max(int(y), 0), last), min(max(int(z), 0), last)
         if filled[np.uintp(row(index, ix, iy, iz))]:
             at, shares = corners(index, ix, iy, iz), _shares(np.float32(x - ix), np.float32(y - iy), np.float32(z - iz))
@@ -176,6 +185,8 @@ def _march(
             if density > floor:
                 value = harmonics.seen(flat, at, number, c * each, shares, basis)
                 passed = np.float32(step) * math.exp(min(density, np.float32(HIGHEST)))
+                if unbounded is not None:
+                    passed = np.float32(growth / (norm * norm) * step * math.exp(min(density, np.float32(HIGHEST))))
                 colour = math.exp(min(value, np.float32(HIGHEST)))
                 if keeping:
                     samples[kept], depths[kept], colours[kept] = k, passed, colour
@@ -187,9 +198,13 @@ def _march(
                     break
             k += 1
         else:
-            blocks = away[np.uintp(ix // BLOCK), np.uintp(iy // BLOCK), np.uintp(iz // BLOCK)]
-            k += _steps_in_clear(x, y, z, ix, iy, iz, rate_x, rate_y, rate_z, blocks) if blocks > 0 else 1
-        t = start + k * step
+            blocks, steps = away[np.uintp(ix // BLOCK), np.uintp(iy // BLOCK), np.uintp(iz // BLOCK)], 1
+            if blocks > 0 and (unbounded is None or 0.0 <= tau < length):
+                steps = _steps_in_clear(x, y, z, ix, iy, iz, rate_x, rate_y, rate_z, blocks)
+                if unbounded is not None:
+                    steps = min(steps, int((length - tau) / step) + 1)
+            k += steps
+        tau = start + k * step
     return T, L, kept
 
 
