@@ -162,8 +162,8 @@ def _march(
 ):  # fmt: skip
     """(transmittance, radiance, kept) at the end of one ray.
 
-    p + t q: along the ray, in cells; of an unbounded field in half sides of the inner box, where alone blocks are left in
-    one stride;  way: (entry, length, wide, reach) of `contraction.way`
+    p + t q: along the ray, in cells; of an unbounded field in half sides of the inner box, where alone blocks are left
+    in one stride;  way: (entry, length, wide, reach) of `contraction.way`
     """
     flat, each, number, last = looks.reshape(-1), looks.shape[2], looks.shape[1] * looks.shape[2], cells - 1
     scale, (entry, length, wide, reach) = cells / (2.0 * contraction.SIDE), way

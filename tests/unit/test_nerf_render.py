@@ -270,7 +270,7 @@ def test_strides_end_before_whatever_is_not_clear(vertices, share):
     for strides in (away, np.zeros_like(away)):
         radiance, opacity, none = np.empty(500, np.float32), np.empty(500, np.float32), np.empty(0, np.int64)
         render_kernels.forward(
-            *rays, densities, looks.numpy(), vertices, box.bricks.index, filled, strides, LOW, HIGH, False, 0.0, step,
+            *rays, densities, looks.numpy(), vertices, box.bricks.index, filled, strides, LOW, HIGH, None, 0.0, step,
             np.ones(1, np.float32), radiance, opacity, none, np.empty(0, np.int32), *[np.empty(0, np.float32)] * 2,
         )  # fmt: skip
         seen.append((radiance, opacity))
