@@ -8,13 +8,13 @@ import numpy as np
 import torch
 
 from pixelid.errors import InputError
-from pixelid.nerf.camera import Camera, pinhole_of_focal
-from pixelid.nerf.evaluate import render_views
-from pixelid.nerf.field import Field
-from pixelid.nerf.render import Rays
-from pixelid.nerf.smoothness import mean_log_density, mean_square, variation
-from pixelid.nerf.state import HARMONICS_RATE
-from pixelid.nerf.views import LUMA, OPENGL, Views
+from pixelid.nerf.data.camera import Camera, pinhole_of_focal
+from pixelid.nerf.data.views import LUMA, OPENGL, Views
+from pixelid.nerf.field.radiance import Field
+from pixelid.nerf.field.render import Rays
+from pixelid.nerf.field.smoothness import mean_log_density, mean_square, variation
+from pixelid.nerf.shown.evaluate import render_views
+from pixelid.nerf.training.state import HARMONICS_RATE
 
 VERTICES = (33, 65, 97)
 BATCH, ITERATIONS = 8192, 2000

@@ -60,19 +60,19 @@ from pixelid.demo.demo import calibration_session
 from pixelid.fit import fit
 from pixelid.model.model import Model
 from pixelid.model.shipped import find_model
-from pixelid.nerf.calibration import in_unit, of_fit
-from pixelid.nerf.camera import Camera
-from pixelid.nerf.dataset import Dataset, read_dataset
-from pixelid.nerf.evaluate import ssim
+from pixelid.nerf.data.calibration import in_unit, of_fit
+from pixelid.nerf.data.camera import Camera
+from pixelid.nerf.data.dataset import Dataset, read_dataset
+from pixelid.nerf.data.scenes import EXTENT, spiral
+from pixelid.nerf.data.trajectory import Trajectory
+from pixelid.nerf.data.views import OPENGL
 from pixelid.nerf.options import Options
-from pixelid.nerf.pixel import Bandwidth
-from pixelid.nerf.poses import Refinement
-from pixelid.nerf.recipe import Recipe
+from pixelid.nerf.pixel.model import Bandwidth
 from pixelid.nerf.reconstruct import reconstruct
-from pixelid.nerf.scenes import EXTENT, spiral
+from pixelid.nerf.shown.evaluate import ssim
 from pixelid.nerf.synthetic import SETTINGS, Renders, Setting, camera_model, make_dataset
-from pixelid.nerf.trajectory import Trajectory
-from pixelid.nerf.views import OPENGL
+from pixelid.nerf.training.poses import Refinement
+from pixelid.nerf.training.recipe import Recipe
 
 EXPERIMENTS = (
     "bandwidth", "baselines", "samples", "batch", "grid", "joint", "pixel", "effect", "scale", "whole", "field",

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from pixelid.gap.result import GapReport
     from pixelid.inputs import ModelLike, RecordingsLike
     from pixelid.lowlight.result import LowlightReport
-    from pixelid.nerf.field import Field
+    from pixelid.nerf.field.radiance import Field
     from pixelid.nerf.reconstruct import Reconstruction
     from pixelid.recordings.recording import Recording
     from pixelid.tables.biases.result import BiasLaws
@@ -247,7 +247,7 @@ def reconstruct(
         >>> import pixelid as px
         >>> px.reconstruct("scene/", fit="fit/")  # doctest: +SKIP
     """
-    from pixelid.nerf.dataset import read_dataset
+    from pixelid.nerf.data.dataset import read_dataset
     from pixelid.nerf.reconstruct import reconstruct as run
 
     with _as_file(options.pop("fit", None)) as file:
@@ -308,7 +308,7 @@ def load_field(folder: str | Path) -> Field:
         >>> import pixelid as px
         >>> px.load_field("sharp/").vertices  # doctest: +SKIP
     """
-    from pixelid.nerf.saved import read_field
+    from pixelid.nerf.shown.saved import read_field
 
     return read_field(Path(folder))
 

@@ -62,11 +62,11 @@ def command(dataset, out, asked, checkpoint, overwrite, quiet):
     refuse_existing(out, overwrite)
     preview = out.with_name(f"{out.name}.preview.png")  # beside the folder until that is there, then in it
     refuse_inputs(preview, [folder for folder, _ in given])
-    from pixelid.nerf import parallel
-    from pixelid.nerf.checkpoint import search_file
-    from pixelid.nerf.dataset import read_dataset
-    from pixelid.nerf.figures import write_figures
+    from pixelid.nerf.data.dataset import read_dataset
     from pixelid.nerf.reconstruct import reconstruct
+    from pixelid.nerf.shown.reconstruction_figures import write_figures
+    from pixelid.nerf.training import parallel
+    from pixelid.nerf.training.checkpoint import search_file
     from pixelid.report.html import write_report
 
     first = parallel.rank() == 0

@@ -15,6 +15,9 @@ TRAINABLE = (  # of the pixel, whatever is done about the filter: two factors, a
 HIGHEST_DEGREE = 2  # of the harmonics
 AUTO = "auto"
 STEPS, BATCH = 1200, 320
+ALPHA = 0.01  # of naming or preferring by held-out events what is not better, all that are compared together
+# Of the loss of held-out events; less is explained by what a coarse scene gets wrong (at most 0.5 % in clean cameras)
+LEAST_SHARE = 0.01
 
 
 @dataclass(frozen=True)

@@ -12,26 +12,26 @@ import numpy as np
 import torch
 
 from pixelid.errors import InputError
-from pixelid.nerf import checkpoint, parallel
-from pixelid.nerf.beside import Beside
-from pixelid.nerf.calibration import CIRCUIT, Calibration, of_fit, uncertainty_of_fit, unexplained_by
-from pixelid.nerf.dataset import CALIBRATION, Dataset, evaluation_views, write_poses
-from pixelid.nerf.evaluate import Scores, evaluate, evaluate_as_published, no_scores, render_views
-from pixelid.nerf.ignored import forgotten, ignored_effects
-from pixelid.nerf.judged import keep_best, train_judged
+from pixelid.nerf.data.calibration import CIRCUIT, Calibration, of_fit, uncertainty_of_fit, unexplained_by
+from pixelid.nerf.data.dataset import CALIBRATION, Dataset, evaluation_views, write_poses
+from pixelid.nerf.data.views import Views
+from pixelid.nerf.effects.ignored import forgotten, ignored_effects
+from pixelid.nerf.effects.search import HELD_OUT as SEARCH_HELD_OUT
+from pixelid.nerf.effects.search import hot_pixels, search
 from pixelid.nerf.options import Options
-from pixelid.nerf.pixel import FILTER, Bandwidth
-from pixelid.nerf.pixel_maps import PixelMaps, maps_of_sensor
-from pixelid.nerf.preview import refuse_preview, write_preview
-from pixelid.nerf.problem import HELD_OUT, problem_of
-from pixelid.nerf.recipe import Recipe
-from pixelid.nerf.residuals import Left, left_by
-from pixelid.nerf.saved import SavedReconstruction
-from pixelid.nerf.search import HELD_OUT as SEARCH_HELD_OUT
-from pixelid.nerf.search import hot_pixels, search
-from pixelid.nerf.state import Problem, State, start
-from pixelid.nerf.train import held_out_residual
-from pixelid.nerf.views import Views
+from pixelid.nerf.pixel.maps import PixelMaps, maps_of_sensor
+from pixelid.nerf.pixel.model import FILTER, Bandwidth
+from pixelid.nerf.shown.beside import Beside
+from pixelid.nerf.shown.evaluate import Scores, evaluate, evaluate_as_published, no_scores, render_views
+from pixelid.nerf.shown.preview import refuse_preview, write_preview
+from pixelid.nerf.shown.saved import SavedReconstruction
+from pixelid.nerf.training import checkpoint, parallel
+from pixelid.nerf.training.judged import keep_best, train_judged
+from pixelid.nerf.training.problem import HELD_OUT, problem_of
+from pixelid.nerf.training.recipe import Recipe
+from pixelid.nerf.training.residuals import Left, left_by
+from pixelid.nerf.training.state import Problem, State, start
+from pixelid.nerf.training.train import held_out_residual
 from pixelid.parallel import memory_bytes
 from pixelid.provenance import input_hashes, versions
 from pixelid.status import Status

@@ -17,12 +17,12 @@ import numpy as np
 
 from pixelid.model.model import Model
 from pixelid.model.shipped import find_model
-from pixelid.nerf import calibration as layout
-from pixelid.nerf.camera import Camera, pinhole
-from pixelid.nerf.dataset import EVENTS, write_poses
-from pixelid.nerf.scenes import FIELD_OF_VIEW, procedural, random_views, spiral
-from pixelid.nerf.trajectory import Trajectory
-from pixelid.nerf.views import FOLDER, OPENGL, RENDERER
+from pixelid.nerf.data import calibration as layout
+from pixelid.nerf.data.camera import Camera, pinhole
+from pixelid.nerf.data.dataset import EVENTS, write_poses
+from pixelid.nerf.data.scenes import FIELD_OF_VIEW, procedural, random_views, spiral
+from pixelid.nerf.data.trajectory import Trajectory
+from pixelid.nerf.data.views import FOLDER, OPENGL, RENDERER
 from pixelid.outputs import whole_folder
 from pixelid.parameters.invariants import Physical
 from pixelid.simulate import simulate_stream

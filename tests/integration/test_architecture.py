@@ -54,11 +54,7 @@ MAY_IMPORT["gap"] = MAY_IMPORT["fit"] | {"fit", "design", "inspection"}
 MAY_IMPORT["conform"] = MAY_IMPORT["gap"] | {"gap"}  # the gap's verdict, effect by effect
 MAY_IMPORT["bench"] = MAY_IMPORT["gap"] | {"gap"}  # from raw recordings to a checked model
 MAY_IMPORT["export"] = BASE | {"model", "parameters", "stages", "tables"}  # rates of noise
-MAY_IMPORT["nerf"] = MAY_IMPORT["fit"] | {
-    "inspection",
-    "options",
-    "sensors",
-}  # nothing but report, demo and cli uses it
+MAY_IMPORT["nerf"] = MAY_IMPORT["fit"] | {"inspection", "options", "sensors"}  # report, demo, cli, face use it
 MAY_IMPORT["report"] = set(MAY_IMPORT)
 MAY_IMPORT["demo"] = set(MAY_IMPORT)
 MAY_IMPORT["cli"] = set(MAY_IMPORT)

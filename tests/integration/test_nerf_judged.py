@@ -14,18 +14,19 @@ from test_schemas import check
 import pixelid as px
 from pixelid.cli.main import main
 from pixelid.errors import InputError
-from pixelid.nerf import checkpoint, field, judged
-from pixelid.nerf import train as training
-from pixelid.nerf.dataset import read_dataset
-from pixelid.nerf.judged import keep_best, train_judged
-from pixelid.nerf.pixel import Bandwidth
-from pixelid.nerf.problem import problem_of
-from pixelid.nerf.recipe import Recipe
+from pixelid.nerf.data.dataset import read_dataset
+from pixelid.nerf.field import radiance as field
+from pixelid.nerf.pixel.model import Bandwidth
 from pixelid.nerf.reconstruct import reconstruct
-from pixelid.nerf.regularisation import FACTORS
-from pixelid.nerf.state import State, start
-from pixelid.nerf.stopping import LOOKS
-from pixelid.nerf.train import held_out_residual
+from pixelid.nerf.training import checkpoint, judged
+from pixelid.nerf.training import train as training
+from pixelid.nerf.training.judged import keep_best, train_judged
+from pixelid.nerf.training.problem import problem_of
+from pixelid.nerf.training.recipe import Recipe
+from pixelid.nerf.training.regularisation import FACTORS
+from pixelid.nerf.training.state import State, start
+from pixelid.nerf.training.stopping import LOOKS
+from pixelid.nerf.training.train import held_out_residual
 
 RECIPE = Recipe(iterations=96, batch=32, vertices=(9, 17))
 
@@ -74,7 +75,7 @@ def test_a_run_that_is_continued_comes_to_the_same_choices(problem, tmp_path, un
 
 
 def test_looking_changes_no_step(problem):
-    from pixelid.nerf.train import train
+    from pixelid.nerf.training.train import train
 
     judged = trained(problem, RECIPE)
     plain = train(problem, RECIPE, start(problem, RECIPE, Bandwidth("off")))
@@ -84,7 +85,7 @@ def test_looking_changes_no_step(problem):
 
 def test_the_factor_scales_both_variations(problem):
     """A step under a factor is the step of a recipe whose weights are as many times larger."""
-    from pixelid.nerf.train import step
+    from pixelid.nerf.training.train import step
 
     scaled = replace(RECIPE, roughness=3 * RECIPE.roughness)
     states = [start(problem, recipe, Bandwidth("off")) for recipe in (RECIPE, scaled, RECIPE)]
@@ -177,7 +178,9 @@ import sys
 from dataclasses import replace
 import numpy as np
 import pixelid as px
-from pixelid.nerf import judged, parallel, search
+from pixelid.nerf.training import judged
+from pixelid.nerf.training import parallel
+from pixelid.nerf.effects import search
 
 # rounding, and more: processes that each decided by themselves would part
 plain, suggestions = judged.loss_of_pixels, search.suggestions

@@ -26,22 +26,22 @@ from pixelid.cli.main import main
 from pixelid.errors import InputError
 from pixelid.model.files import save_model
 from pixelid.model.shipped import find_model, shipped_models
-from pixelid.nerf import checkpoint
-from pixelid.nerf import field as fields
-from pixelid.nerf.calibration import FILE as CALIBRATION
-from pixelid.nerf.calibration import of_fit
-from pixelid.nerf.dataset import read_dataset
-from pixelid.nerf.evaluate import no_scores
-from pixelid.nerf.losses import Weights
+from pixelid.nerf.data.calibration import FILE as CALIBRATION
+from pixelid.nerf.data.calibration import of_fit
+from pixelid.nerf.data.dataset import read_dataset
+from pixelid.nerf.field import radiance as fields
 from pixelid.nerf.options import Options
-from pixelid.nerf.pixel import Bandwidth, limits_bandwidth
-from pixelid.nerf.poses import Refinement
-from pixelid.nerf.problem import problem_of
-from pixelid.nerf.recipe import Recipe
+from pixelid.nerf.pixel.model import Bandwidth, limits_bandwidth
 from pixelid.nerf.reconstruct import Reconstruction, _left_open, _verdict, reconstruct
-from pixelid.nerf.state import State, start
+from pixelid.nerf.shown.evaluate import no_scores
 from pixelid.nerf.synthetic import SETTINGS, make_dataset
-from pixelid.nerf.train import held_out_residual, step, train
+from pixelid.nerf.training import checkpoint
+from pixelid.nerf.training.losses import Weights
+from pixelid.nerf.training.poses import Refinement
+from pixelid.nerf.training.problem import problem_of
+from pixelid.nerf.training.recipe import Recipe
+from pixelid.nerf.training.state import State, start
+from pixelid.nerf.training.train import held_out_residual, step, train
 from pixelid.sensors import SensorFit
 from pixelid.sensors.map import Map
 from pixelid.sensors.shrinkage import Population
@@ -377,8 +377,8 @@ def test_a_scene_of_posed_images_stands_for_the_truth(shared):
     """Fitted to some of the posed pictures, it shows the others."""
     from posed import scene_of_images
 
-    from pixelid.nerf.camera import Camera
-    from pixelid.nerf.views import LUMA, OPENGL
+    from pixelid.nerf.data.camera import Camera
+    from pixelid.nerf.data.views import LUMA, OPENGL
 
     data = np.load(shared / "recordings" / "lego_views_100px.npz")
     images, poses, focal = data["images"], data["poses"], float(data["focal"])
@@ -638,7 +638,7 @@ def test_the_command_keeps_the_last_preview_in_its_folder(made, tmp_path):
 
 def test_another_picture_is_not_replaced_by_a_preview(made, tmp_path, capsys):
     """One that an interrupted run has left is."""
-    from pixelid.nerf.preview import _save, refuse_preview
+    from pixelid.nerf.shown.preview import _save, refuse_preview
 
     file = tmp_path / "out.preview.png"
     _save(file, np.linspace(0, 1, 60).reshape(5, 12, 1))
@@ -730,7 +730,7 @@ def test_a_near_distance_is_trained_with_stored_and_rendered_with(made, tmp_path
 
 def test_an_unbounded_fine_scene_is_trained_in_bricks_and_resumed(made, tmp_path, monkeypatch):
     """Interrupted once bricks are given up, also far away; what is written shows what training came to."""
-    from pixelid.nerf import train as training
+    from pixelid.nerf.training import train as training
 
     for module in (fields, training):
         monkeypatch.setattr(module, "WHOLE", 9)

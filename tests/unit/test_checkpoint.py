@@ -10,9 +10,9 @@ import pytest
 import torch
 
 from pixelid.errors import OutputError
-from pixelid.nerf import checkpoint
-from pixelid.nerf.regularisation import Regularisation
-from pixelid.nerf.stopping import Stopping
+from pixelid.nerf.training import checkpoint
+from pixelid.nerf.training.regularisation import Regularisation
+from pixelid.nerf.training.stopping import Stopping
 
 
 @pytest.fixture

@@ -9,17 +9,17 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
 from pixelid.errors import InputError
-from pixelid.nerf import field as fields
-from pixelid.nerf import render as renderer
-from pixelid.nerf.bricks import CLEAR_DENSITY, ROWS, Bricks
-from pixelid.nerf.camera import pinhole
-from pixelid.nerf.field import Field
-from pixelid.nerf.recipe import Recipe
-from pixelid.nerf.render import Box, Rays, render
-from pixelid.nerf.saved import read_field, write_field
-from pixelid.nerf.scenes import random_views
-from pixelid.nerf.smoothness import mean_log_density, mean_square, variation
-from pixelid.nerf.state import State, follow, optimiser_of
+from pixelid.nerf.data.camera import pinhole
+from pixelid.nerf.data.scenes import random_views
+from pixelid.nerf.field import radiance as fields
+from pixelid.nerf.field import render as renderer
+from pixelid.nerf.field.bricks import CLEAR_DENSITY, ROWS, Bricks
+from pixelid.nerf.field.radiance import Field
+from pixelid.nerf.field.render import Box, Rays, render
+from pixelid.nerf.field.smoothness import mean_log_density, mean_square, variation
+from pixelid.nerf.shown.saved import read_field, write_field
+from pixelid.nerf.training.recipe import Recipe
+from pixelid.nerf.training.state import State, follow, optimiser_of
 
 LOW, HIGH = np.full(3, -1.0), np.full(3, 1.0)
 RADIUS = 0.35

@@ -9,23 +9,23 @@ import numpy as np
 import pytest
 import torch
 
-from pixelid.nerf import checkpoint
-from pixelid.nerf import field as fields
-from pixelid.nerf.dataset import read_dataset
-from pixelid.nerf.evaluate import render_views
-from pixelid.nerf.losses import Weights
+from pixelid.nerf.data.dataset import read_dataset
+from pixelid.nerf.field import radiance as fields
+from pixelid.nerf.field.smoothness import mean_log_density, mean_square, variation
 from pixelid.nerf.options import Options
-from pixelid.nerf.pixel import Bandwidth
-from pixelid.nerf.poses import Refinement
-from pixelid.nerf.problem import problem_of
-from pixelid.nerf.recipe import Recipe
+from pixelid.nerf.pixel.model import Bandwidth
+from pixelid.nerf.pixel.scan import respond
 from pixelid.nerf.reconstruct import reconstruct
-from pixelid.nerf.saved import SavedReconstruction
-from pixelid.nerf.scan import respond
-from pixelid.nerf.smoothness import mean_log_density, mean_square, variation
-from pixelid.nerf.state import start
+from pixelid.nerf.shown.evaluate import render_views
+from pixelid.nerf.shown.saved import SavedReconstruction
 from pixelid.nerf.synthetic import make_dataset
-from pixelid.nerf.train import train
+from pixelid.nerf.training import checkpoint
+from pixelid.nerf.training.losses import Weights
+from pixelid.nerf.training.poses import Refinement
+from pixelid.nerf.training.problem import problem_of
+from pixelid.nerf.training.recipe import Recipe
+from pixelid.nerf.training.state import start
+from pixelid.nerf.training.train import train
 from tests.unit.test_nerf_bricks import ball
 from tests.unit.test_nerf_pixel import FLOOR, FULL, HARD, runs, tensor
 from tests.unit.test_nerf_render import shown_with_gradients

@@ -10,16 +10,15 @@ from scipy.spatial.transform import Rotation, Slerp
 from scipy.special import factorial, lpmv
 
 from pixelid.errors import InputError
-from pixelid.nerf import render_kernels
-from pixelid.nerf.bricks import Bricks
-from pixelid.nerf.camera import Camera, pinhole, refuse_lens_without_inverse
-from pixelid.nerf.correction import fit_correction
-from pixelid.nerf.field import Field, blocks
-from pixelid.nerf.harmonics import fill, harmonics, number_of
-from pixelid.nerf.render import Box, Rays, render
-from pixelid.nerf.scenes import procedural, random_views, spiral
-from pixelid.nerf.smoothness import mean_square, variation
-from pixelid.nerf.trajectory import Trajectory
+from pixelid.nerf.data.camera import Camera, pinhole, refuse_lens_without_inverse
+from pixelid.nerf.data.scenes import procedural, random_views, spiral
+from pixelid.nerf.data.trajectory import Trajectory
+from pixelid.nerf.field.bricks import Bricks
+from pixelid.nerf.field.harmonics import fill, harmonics, number_of
+from pixelid.nerf.field.radiance import Field, blocks, render_kernels
+from pixelid.nerf.field.render import Box, Rays, render
+from pixelid.nerf.field.smoothness import mean_square, variation
+from pixelid.nerf.shown.correction import fit_correction
 
 LOW, HIGH = np.full(3, -1.0), np.full(3, 1.0)
 

@@ -9,16 +9,10 @@ import pytest
 import torch
 
 from pixelid.dynamics.trajectory import Dynamics, integrate
-from pixelid.nerf.additions import ADDITIONS, tilts
-from pixelid.nerf.calibration import Calibration
-from pixelid.nerf.camera import pinhole
-from pixelid.nerf.intervals import CHAIN, chains, intervals
-from pixelid.nerf.losses import amplifier_drift, changes, terms
-from pixelid.nerf.pixel import TRAINABLE, Bandwidth, Pixel
-from pixelid.nerf.pixel_maps import PixelMaps
-from pixelid.nerf.residuals import Rows, apart, compare, of_every_pixel, of_some_pixels, residual_map
-from pixelid.nerf.scan import respond
-from pixelid.nerf.search import (
+from pixelid.nerf.data.calibration import Calibration
+from pixelid.nerf.data.camera import pinhole
+from pixelid.nerf.effects.additions import ADDITIONS, tilts
+from pixelid.nerf.effects.search import (
     _begun,
     _Bench,
     _candidates,
@@ -27,7 +21,13 @@ from pixelid.nerf.search import (
     _with_named,
     with_trained_values,
 )
-from pixelid.nerf.state import Problem
+from pixelid.nerf.events.intervals import CHAIN, chains, intervals
+from pixelid.nerf.pixel.maps import PixelMaps
+from pixelid.nerf.pixel.model import TRAINABLE, Bandwidth, Pixel
+from pixelid.nerf.pixel.scan import respond
+from pixelid.nerf.training.losses import amplifier_drift, changes, terms
+from pixelid.nerf.training.residuals import Rows, apart, compare, of_every_pixel, of_some_pixels, residual_map
+from pixelid.nerf.training.state import Problem
 from pixelid.stages.circuit import Circuit
 from tests.unit.test_nerf_stretches import QUICK, comparator
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.stats import ttest_1samp
 
-from pixelid.nerf.gain import most_gained, paired
-from pixelid.nerf.recipe import Recipe
-from pixelid.nerf.regularisation import FACTORS, chosen
-from pixelid.nerf.stopping import LOOKS, Look, Stopping, looked_at
+from pixelid.nerf.training.gain import most_gained, paired
+from pixelid.nerf.training.recipe import Recipe
+from pixelid.nerf.training.regularisation import FACTORS, chosen
+from pixelid.nerf.training.stopping import LOOKS, Look, Stopping, looked_at
 
 PIXELS, ROWS = 120, 3000
 
