@@ -34,17 +34,9 @@ class Options(Checked):
         also="ModelLike | FitResult | GapReport",
     )
     sensor: Path | None = option(None, "Folder of `pixelid sensor`: thresholds and bandwidth of each pixel.")
-    bandwidth: str = option(
-        "on",
-        "The pixel's filter: known, ignored, or trained with the scene.",
-        choices=BANDWIDTHS,
-    )
+    bandwidth: str = option("on", "The pixel's filter: known, ignored, or trained with the scene.", choices=BANDWIDTHS)
     samples: int = option(
-        30,
-        "Past samples per event.",
-        low=1,
-        high=1000,
-        why="experiment *samples* of docs/results/reconstruction.md",
+        30, "Past samples per event.", low=1, high=1000, why="experiment *samples* of docs/results/reconstruction.md"
     )
     trained: tuple[str, ...] = option(
         (),
@@ -58,10 +50,7 @@ class Options(Checked):
         choices=BETWEEN_POSES,
     )
     refine_time: float | None = option(
-        None,
-        "Train an offset between the clocks of poses and events, known to SD seconds.",
-        above=0.0,
-        metavar="SD",
+        None, "Train an offset between the clocks of poses and events, known to SD seconds.", above=0.0, metavar="SD"
     )
     refine_poses: tuple[float, ...] | None = option(
         None,
@@ -96,47 +85,25 @@ class Options(Checked):
         why="chosen on scenes of 64 × 64 pixels with some 1e5 changes of light",
     )
     batch: int | None = option(
-        None,
-        f"Chains of events per step; {BATCH}, or what --steps auto chooses.",
-        low=1,
-        high=10_000_000,
+        None, f"Chains of events per step; {BATCH}, or what --steps auto chooses.", low=1, high=10_000_000
     )
     regularisation: str = option(
-        "usual",
-        "Smoothing; auto: ⅓, 1 or 3 × usual, chosen on held-out events.",
-        choices=REGULARISATIONS,
+        "usual", "Smoothing; auto: ⅓, 1 or 3 × usual, chosen on held-out events.", choices=REGULARISATIONS
     )
-    background: float | None = option(
-        None,
-        "Radiance behind the scene; by default what the views show.",
-        above=0.0,
-    )
+    background: float | None = option(None, "Radiance behind the scene; by default what the views show.", above=0.0)
     scale: str = option(
-        "auto",
-        "What pins the radiance unit; auto: the views' background, else their level.",
-        choices=SCALES,
+        "auto", "What pins the radiance unit; auto: the views' background, else their level.", choices=SCALES
     )
     box: tuple[float, ...] | None = option(
-        None,
-        "Corners of the scene; by default a cube where the views look.",
-        count=6,
-        metavar="X0 Y0 Z0 X1 Y1 Z1",
+        None, "Corners of the scene; by default a cube where the views look.", count=6, metavar="X0 Y0 Z0 X1 Y1 Z1"
     )
-    near: float = option(
-        0.0,
-        "Distance from the camera before which nothing is, in the unit of the poses.",
-        low=0.0,
-    )
+    near: float = option(0.0, "Distance from the camera before which nothing is, in the unit of the poses.", low=0.0)
     unbounded: bool = option(False, "The scene goes on beyond the box: space is held to the horizon, ever coarser.")
     radiance_scale: float | None = option(
-        None,
-        "The fit's radiance units per unit of the views; by default from q_in.",
-        above=0.0,
+        None, "The fit's radiance units per unit of the views; by default from q_in.", above=0.0
     )
     protocol: str = option(
-        "strict",
-        "paper: also the reference implementation's scores, corrected on the scored views.",
-        choices=PROTOCOLS,
+        "strict", "paper: also the reference implementation's scores, corrected on the scored views.", choices=PROTOCOLS
     )
     device: str = option("auto", "Where the scene is trained.", choices=DEVICES)
     seed: int = option(0, "Of everything random.", low=0, high=2**32 - 1)

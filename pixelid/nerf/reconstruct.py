@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,7 @@ from pixelid.nerf.shown.preview import refuse_preview, write_preview
 from pixelid.nerf.shown.saved import SavedReconstruction
 from pixelid.nerf.training import checkpoint, parallel
 from pixelid.nerf.training.judged import keep_best, train_judged
-from pixelid.nerf.training.problem import HELD_OUT, problem_of
+from pixelid.nerf.training.problem import problem_of
 from pixelid.nerf.training.recipe import Recipe
 from pixelid.nerf.training.residuals import Left, left_by
 from pixelid.nerf.training.state import Problem, State, start
@@ -122,8 +123,8 @@ def reconstruct(
         dataset = replace(dataset, trajectory=dataset.trajectory.splined())
     sensor = options.sensor
     maps = maps_of_sensor(sensor, calibration.circuit, calibration.camera) if sensor else None
-    make = _Make(dataset, options, maps, recipe.cells)
-    problem = make(calibration, bandwidth.moving)
+    make = partial(problem_of, dataset, options=options, maps=maps, cells=recipe.cells)
+    problem = make(calibration, trained=bandwidth.moving)
     parallel.join(device)
     recipe = recipe.for_data(len(problem.training.starts), bandwidth.samples if bandwidth.mode != "off" else 1,
                              _memory(device))  # fmt: skip
@@ -136,7 +137,7 @@ def reconstruct(
         outcome = checkpoint.load_search(kept, calibration, mark) if kept else None
         if outcome is None:
             result = search(
-                calibration, bandwidth, recipe, lambda of, trained: make(of, trained, SEARCH_HELD_OUT),
+                calibration, bandwidth, recipe, partial(make, held_out=SEARCH_HELD_OUT),
                 mapped=maps is not None, score=lambda state: _psnr(_running(state, problem, validation)), device=device,
                 progress=lambda what, share: progress(what, 0.5 * share),
             )  # fmt: skip
@@ -145,7 +146,7 @@ def reconstruct(
                 checkpoint.save_search(kept, calibration, *outcome, mark)
         calibration, trained, found = outcome
         bandwidth = replace(bandwidth, trained=(*bandwidth.trained, *trained))
-        problem = make(calibration, bandwidth.moving)
+        problem = make(calibration, trained=bandwidth.moving)
         if hot := hot_pixels(problem):
             found = {**found, "effects": [*found["effects"], hot]}
         mark = checkpoint.run_identity(problem, recipe, bandwidth, inputs)
@@ -258,23 +259,6 @@ def _input_hashes(dataset: Dataset, options: Options) -> dict[str, str]:
     files, fit, sensor = [*dataset.files], options.fit, options.sensor
     files += [fit / "model.toml" if fit.is_dir() else fit] if fit else []
     return input_hashes([*files, *([sensor / name for name in ("sensor.json", "maps.npz")] if sensor else [])])
-
-
-@dataclass(frozen=True)
-class _Make:
-    """Makes the problem of a dataset under a calibration, with what training is to move."""
-
-    dataset: Dataset
-    options: Options
-    maps: PixelMaps | None
-    cells: int
-
-    def __call__(self, of: Calibration, trained: tuple[str, ...], held_out: float = HELD_OUT) -> Problem:
-        asked = self.options
-        return problem_of(
-            self.dataset, of, trained=trained, background=asked.background, scale=asked.scale, box=asked.box,
-            near=asked.near, maps=self.maps, cells=self.cells, held_out=held_out, seed=asked.seed,
-        )  # fmt: skip
 
 
 @dataclass

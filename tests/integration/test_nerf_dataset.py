@@ -22,6 +22,7 @@ from pixelid.nerf.data.trajectory import Trajectory
 from pixelid.nerf.data.views import _peak_and_span
 from pixelid.nerf.events.gauge import Gauge, gauge_of, scene_box
 from pixelid.nerf.field.radiance import Field
+from pixelid.nerf.options import Options
 from pixelid.nerf.pixel.model import Bandwidth
 from pixelid.nerf.synthetic import SETTINGS, camera_model
 from pixelid.nerf.training.problem import problem_of
@@ -213,7 +214,7 @@ def test_every_colour_has_its_level(made, colours):
         for stage, each in data.views.items()
     }
     calibration = replace(data.calibration, bayer=bayer, dark=np.zeros(colours))
-    problem = problem_of(replace(data, views=views, calibration=calibration), scale="level")
+    problem = problem_of(replace(data, views=views, calibration=calibration), options=Options(scale="level"))
     state = start(problem, Recipe(vertices=(9,)), Bandwidth("on"))
     for factors in ([1.0] * colours, [4.0, 1.0, 0.25][:colours]):
         field = Field(problem.low, problem.high, 9, colours, (0.5 * np.array(factors)).tolist())

@@ -366,7 +366,7 @@ class Sought(_Bench):
     """Whose scenes explain held-out events the better the nearer a drift is to the best one, on a scale of factors."""
 
     def __init__(self, best: float, told: bool) -> None:
-        told_all = {"best": best, "told": told, "steps": 1, "make": lambda *_: SimpleNamespace(tilts={})}
+        told_all = {"best": best, "told": told, "steps": 1, "make": lambda *_, **__: SimpleNamespace(tilts={})}
         for name, value in told_all.items():
             object.__setattr__(self, name, value)
 

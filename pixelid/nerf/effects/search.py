@@ -61,7 +61,7 @@ WITHIN = 0.8
 RIVALS = 0.1
 TIE = 0.01  # of the loss: of candidates that explain as much, the first in the list is taken
 
-Make = Callable[[Calibration, tuple[str, ...]], Problem]
+Make = Callable[..., Problem]  # (calibration, trained=names)
 
 
 @dataclass(frozen=True)
@@ -132,7 +132,7 @@ def search(
         The pixel with what was found, and all else as it was stated.
     """
     warm, steps = (max(round(share * recipe.iterations), 1) for share in (WARM, TRIAL))
-    problem = make(calibration, bandwidth.moving)
+    problem = make(calibration, trained=bandwidth.moving)
     if not len(problem.held_out.starts):
         raise InputError("--gap: effects are judged on pixels held out, and only one pixel has events to hold out")
     names = _candidates(calibration, bandwidth, mapped, problem.shortest)
@@ -303,7 +303,7 @@ class _Bench:
     def _times(self, factor: float, name: str, here: _Place) -> _Place:
         """The same place with one strength times a factor."""
         more = (factor - 1.0) * getattr(here.calibration.circuit, ADDITIONS[name].field)
-        every = self.make(here.calibration, tuple(ADDITIONS))
+        every = self.make(here.calibration, trained=tuple(ADDITIONS))
         return replace(here, calibration=_begun(name, here.calibration, more, every))
 
     def _gain(self, reference: Rows, there: _Place) -> Gain:
@@ -315,7 +315,7 @@ class _Bench:
         return _agreed(gain) if there.state.finite else Gain(0.0, 1.0, gain.rows)
 
     def _suggested(self, here: _Place) -> tuple[Suggested, Problem]:
-        every = self.make(here.calibration, (*self._using(here.trained).moving, *ADDITIONS))
+        every = self.make(here.calibration, trained=(*self._using(here.trained).moving, *ADDITIONS))
         return suggestions(every, here.state), every
 
     def go_on(self, here: _Place, steps: int) -> _Place:
@@ -335,7 +335,7 @@ class _Bench:
     def _moved(self, here: _Place) -> tuple[Problem, State]:
         """The problem under a place's pixel, and a copy of its scene; what single thresholds were trained to stays."""
         using = self._using(here.trained)
-        problem = self.make(here.calibration, using.moving)
+        problem = self.make(here.calibration, trained=using.moving)
         copy = start(problem, self.recipe, using, self.device)
         with torch.no_grad():
             copy.field.hold(here.state.field.bricks, here.state.field.grid, here.state.field.coefficients)

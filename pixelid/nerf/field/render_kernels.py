@@ -222,52 +222,6 @@ def _in_grid(p, shrunk, scale):
     return (p * shrunk + contraction.SIDE) * scale
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "afn", "reassoc"})
-def _march_outwards(
-    o, d, low, high, start, until, entry, length, wide, reach, step, c, basis, densities, looks, cells, index,
-    filled, away, floor, keeping, samples, depths, colours, kept,
-):  # fmt: skip
-    """The same through an unbounded field; blocks are left in one stride within the inner box only."""
-    flat, each, number, last = looks.reshape(-1), looks.shape[2], looks.shape[1] * looks.shape[2], cells - 1
-    (px, qx), (py, qy), (pz, qz) = _inner(o, d, low, high)
-    scale = cells / (2.0 * contraction.SIDE)
-    rate_x, rate_y, rate_z = _per_cell(qx * scale, step), _per_cell(qy * scale, step), _per_cell(qz * scale, step)
-    k, tau = 0, start
-    T, L = np.float32(1.0), np.float32(0.0)
-    while tau < until:
-        t, stretch = contraction.distance(tau, entry, length, wide, reach)
-        x, y, z = px + t * qx, py + t * qy, pz + t * qz
-        shrunk, norm = contraction.shrink(x, y, z)
-        x, y, z = _in_grid(x, shrunk, scale), _in_grid(y, shrunk, scale), _in_grid(z, shrunk, scale)
-        ix, iy, iz = min(max(int(x), 0), last), min(max(int(y), 0), last), min(max(int(z), 0), last)
-        if filled[np.uintp(row(index, ix, iy, iz))]:
-            at, shares = corners(index, ix, iy, iz), _shares(np.float32(x - ix), np.float32(y - iy), np.float32(z - iz))
-            density = _interpolated(densities, at, 1, 0, shares)
-            if density > floor:
-                value = harmonics.seen(flat, at, number, c * each, shares, basis)
-                thinned = stretch / (norm * norm)
-                passed = np.float32(thinned * step * math.exp(min(density, np.float32(HIGHEST))))
-                colour = math.exp(min(value, np.float32(HIGHEST)))
-                if keeping:
-                    samples[kept], depths[kept], colours[kept] = k, passed, colour
-                    kept += 1
-                T_next = T * math.exp(-passed)
-                L += (T - T_next) * colour
-                T = T_next
-                if T < OPAQUE:
-                    break
-            k += 1
-        else:
-            blocks = away[np.uintp(ix // BLOCK), np.uintp(iy // BLOCK), np.uintp(iz // BLOCK)]
-            if blocks > 0 and 0.0 <= tau < length:
-                left = int((length - tau) / step) + 1
-                k += min(_steps_in_clear(x, y, z, ix, iy, iz, rate_x, rate_y, rate_z, blocks), left)
-            else:
-                k += 1
-        tau = start + k * step
-    return T, L, kept
-
-
 @njit(inline="always", error_model="numpy")
 def _longer(column):
     """The same numbers (n,), with room for as many again."""

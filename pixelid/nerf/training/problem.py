@@ -17,6 +17,7 @@ from pixelid.nerf.events.image_speed import crossing_times
 from pixelid.nerf.events.intervals import Intervals, intervals, split
 from pixelid.nerf.events.quiet import LONG, quiet_intervals
 from pixelid.nerf.events.stretches import NOISE
+from pixelid.nerf.options import Options
 from pixelid.nerf.pixel.maps import PixelMaps, find_hot, maps_of_circuit, rate_of_hot
 from pixelid.nerf.training.state import Problem
 from pixelid.stages.circuit import Circuit
@@ -35,16 +36,12 @@ def problem_of(
     dataset: Dataset,
     calibration: Calibration | None = None,
     *,
+    options: Options | None = None,
     trained: Sequence[str] = (),
-    background: float | None = None,
-    scale: str = "auto",
-    box: Sequence[float] | None = None,
-    near: float = 0.0,
     maps: PixelMaps | None = None,
     held_out: float = HELD_OUT,
     cells: int = 0,
     close: float = CLOSE_PIXELS,
-    seed: int = 0,
 ) -> Problem:
     """The problem of a dataset under its own calibration or another one (a fit's).
 
@@ -53,16 +50,12 @@ def problem_of(
     Args:
         dataset: as read.
         calibration: of the camera and its pixel; the dataset's own by default.
+        options: background, scale, box, near and seed count here.
         trained: of the pixel, what is trained with the scene (`Bandwidth.moving`).
-        background: radiance behind the scene; by default what the views show.
-        scale: what pins the radiance unit: "auto", "level" or "free".
-        box: corners of the scene, x0 y0 z0 x1 y1 z1; by default a cube where the camera looks.
-        near: distance from the camera before which nothing is.
         maps: how single pixels depart from the circuit; by default unknown to its mismatch.
         held_out: share of the pixels that training does not see.
         cells: of the field per side in the end; 0 where they are smaller than pixels.
         close: events are merged while the image moves by less than that, in pixels or in cells, whichever are larger.
-        seed: of the pixels held out.
 
     Returns:
         What training works on.
@@ -71,11 +64,12 @@ def problem_of(
         InputError: no pixel has two events, or the box has no inside.
     """
     calibration = dataset.calibration if calibration is None else calibration
-    camera, gauge = calibration.camera, gauge_of(dataset, background, scale)
-    if box is None:
+    options = Options() if options is None else options
+    camera, gauge = calibration.camera, gauge_of(dataset, options.background, options.scale)
+    if options.box is None:
         low, high = scene_box(dataset.trajectory, camera.half_angle)
     else:
-        low, high = np.array(box, float).reshape(2, 3)
+        low, high = np.array(options.box).reshape(2, 3)
     if not (high > low).all():
         raise InputError(f"--box: expected low corner below high corner, found {[*low.tolist(), *high.tolist()]}")
     circuit = calibration.circuit
@@ -98,7 +92,7 @@ def problem_of(
     crossed_s = crossing_time(dataset.trajectory, camera, low, high)
     shortest = crossing_times(
         dataset.trajectory, camera, low, high, t, y * camera.width + x, cell=size, within=crossed_s,
-        most=MOST_UNEVEN * crossed_s, near=near,
+        most=MOST_UNEVEN * crossed_s, near=options.near,
     )  # fmt: skip
     fastest_s = float(np.quantile(shortest[:: max(len(shortest) // 100_000, 1)], FASTEST)) if len(shortest) else 0.0
     shortest *= np.float32(close)  # in place: four bytes for each of all events
@@ -112,7 +106,7 @@ def problem_of(
     every = cut(circuit)
     if len(every.starts) == 0:
         raise InputError(f"{dataset.path}: raw_events.npz: timestamp: no pixel has two events, nothing to learn from")
-    training, held = split(every, held_out, np.random.default_rng([seed, 77]))
+    training, held = split(every, held_out, np.random.default_rng([options.seed, 77]))
     if len(training.starts) == 0:
         training, held = every, every.of(np.zeros(len(every.starts), bool))
     held_pixels = np.unique(held.stretches.pixel[held.starts])
@@ -124,7 +118,7 @@ def problem_of(
     return Problem(
         training, held, dataset.trajectory, camera, calibration.channel_of(column, row), calibration.dark,
         circuit, gauge, low, high, maps, tilts(cut, circuit, trained),
-        least_s, quiet, near, fastest_s,
+        least_s, quiet, options.near, fastest_s,
     )  # fmt: skip
 
 

@@ -246,12 +246,6 @@ def _shared(before: Rows, after: Rows) -> tuple[np.ndarray, np.ndarray]:
         every = np.arange(len(before.end))
         return every, every
     quiet = [np.flatnonzero(~rows.burst) for rows in (before, after)]
-    place = [
-        {
-            key: int(k)
-            for key, k in zip(zip(rows.pixel[some].tolist(), rows.end[some].tolist(), strict=True), some, strict=True)
-        }
-        for rows, some in zip((before, after), quiet, strict=True)
-    ]
-    both = np.array([(k, place[1][key]) for key, k in place[0].items() if key in place[1]], np.int64).reshape(-1, 2)
-    return both[:, 0], both[:, 1]
+    first, second = (np.rec.fromarrays([r.pixel[k], r.end[k]]) for r, k in zip((before, after), quiet, strict=True))
+    _, a, b = np.intersect1d(first, second, return_indices=True)
+    return quiet[0][a], quiet[1][b]
