@@ -178,14 +178,15 @@ import sys
 from dataclasses import replace
 import numpy as np
 import pixelid as px
-from pixelid.nerf.training import judged
-from pixelid.nerf.training import parallel
 from pixelid.nerf.effects import search
+from pixelid.nerf.training import judged, parallel
 
 # rounding, and more: processes that each decided by themselves would part
 plain, suggestions = judged.loss_of_pixels, search.suggestions
 judged.loss_of_pixels = lambda rows: plain(rows) * (1.0 + 1e-3 * parallel.rank())
-search.SEARCHED, search.MOST_ROUNDS = ("leak",), 1
+search.MOST_ROUNDS = 1
+for name, addition in search.ADDITIONS.items():
+    search.ADDITIONS[name] = addition._replace(searched=name == "leak")
 gains = [search.Gain(-0.1 * parallel.rank(), 1.0, 99)] * 5 + [search.Gain(0.5, 1e-9, 99)] * (parallel.rank() == 0)
 search.compare = lambda before, after: gains.pop()  # the first process names the leak, and the other nothing
 

@@ -23,14 +23,23 @@ from pixelid.stages.circuit import Circuit
 class Addition(NamedTuple):
     """One strength.
 
-    field: of `Circuit`;  parameter: its name in the library;  step: what training moves it by in a hundred steps or so,
-    which is what such an effect typically has;  least: bound below
+    field: of `Circuit`;  effect, parameter: names in the library;  step: what training moves it by in a hundred steps
+    or so, which is what such an effect typically has;  least: bound below;  of_events: whether it sets the threshold of
+    each event;  in_thresholds: whether it counts ON thresholds per second;  searched: whether the search looks for it;
+    held: whether the search holds it, since training knows it to first order only;  renewed: whether the search renews
+    it until it is at rest
     """
 
     field: str
+    effect: str
     parameter: str
     step: float
     least: float = 0.0
+    of_events: bool = False
+    in_thresholds: bool = False
+    searched: bool = True
+    held: bool = False
+    renewed: bool = False
 
     def step_from(self, circuit: Circuit) -> float:
         """The step at a circuit: what it has, where that is more."""
@@ -38,17 +47,22 @@ class Addition(NamedTuple):
 
 
 ADDITIONS = {
-    "refractory": Addition("refractory", "refractory_s", 1e-4),
-    "leak": Addition("leak_hz", "leak.rate_hz", 5.0),
-    "parasitic_photocurrent": Addition(
-        "leak_hz_per_radiance", "parasitic_photocurrent.rate_hz_per_radiance", 5.0
-    ),  # radiance in the unit of the views, in which white is about 1
-    "threshold_drift": Addition("threshold_drift", "threshold_drift.per_s", 0.3, -math.inf),
-    "polarity_memory": Addition("polarity_memory", "polarity_memory.strength", 0.02, -0.9),
-}
-OF_EVENTS = ("threshold_drift", "polarity_memory")  # those that set the threshold of each event
-# Parameters that are counted in ON thresholds per second.
-IN_THRESHOLDS = ("leak.rate_hz", "parasitic_photocurrent.rate_hz_per_radiance")
+    "refractory": Addition("refractory", "refractory_period", "refractory_s", 1e-4, held=True),
+    "leak": Addition("leak_hz", "leak", "leak.rate_hz", 5.0, in_thresholds=True, renewed=True),
+    "parasitic_photocurrent": Addition(  # radiance in the unit of the views, in which white is about 1
+        "leak_hz_per_radiance", "parasitic_photocurrent", "parasitic_photocurrent.rate_hz_per_radiance", 5.0,
+        in_thresholds=True, renewed=True,
+    ),
+    # Hints of a drift go on in one direction, and took one of 0.6/s to 0.86: it is not renewed until it is at rest
+    "threshold_drift": Addition(
+        "threshold_drift", "threshold_drift", "threshold_drift.per_s", 0.3, -math.inf, of_events=True
+    ),
+    # Events of one polarity follow each other within edges, where a coarse scene lacks contrast: memory was named in a
+    # camera that has none
+    "polarity_memory": Addition(
+        "polarity_memory", "polarity_memory", "polarity_memory.strength", 0.02, -0.9, of_events=True, searched=False
+    ),
+}  # fmt: skip
 
 
 class Tilt(NamedTuple):
@@ -75,10 +89,11 @@ def threshold_factor(tilts: Mapping[str, Tilt], added: Callable[[str], torch.Ten
 def tilts(cut: Callable[[Circuit], Intervals], circuit: Circuit, names: Iterable[str]) -> dict[str, Tilt]:
     """What strengths do to the thresholds of events.
 
-    cut: the stretches under a circuit;  names: of `OF_EVENTS`, others are passed over.  Counts are linear in these
-    strengths, so a difference is exact but for rounding.
+    cut: the stretches under a circuit;  names: of `ADDITIONS`; those that set thresholds of events count.  Counts are
+    linear in these strengths, so a difference is exact but for rounding.
     """
-    found, names = {}, [name for name in OF_EVENTS if name in set(names)]
+    asked = set(names)
+    found, names = {}, [name for name, addition in ADDITIONS.items() if addition.of_events and name in asked]
     if not names:
         return {}
     at = cut(circuit).stretches

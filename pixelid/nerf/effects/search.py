@@ -19,7 +19,7 @@ import torch
 
 from pixelid.errors import InputError
 from pixelid.nerf.data.calibration import Calibration
-from pixelid.nerf.effects.additions import ADDITIONS, OF_EVENTS, threshold_factor
+from pixelid.nerf.effects.additions import ADDITIONS, threshold_factor
 from pixelid.nerf.effects.suggestions import Suggested, suggestions
 from pixelid.nerf.options import ALPHA, LEAST_SHARE
 from pixelid.nerf.pixel.maps import MISMATCH
@@ -32,12 +32,8 @@ from pixelid.nerf.training.state import Problem, State, optimiser_of, start
 from pixelid.nerf.training.train import train
 from pixelid.stages.circuit import Circuit
 
-EFFECTS = {"refractory": "refractory_period"}  # where the library has another name than training
 BANDWIDTH, MISMATCHED = "bandwidth", "threshold_mismatch"
 BANDWIDTH_FACTORS = ("alpha", "follower")  # of `FILTER`: how fast, not how far from overshooting
-# Polarity memory is not: events of one polarity follow each other within edges, where a coarse scene lacks contrast,
-# and it was named in a camera that has none.
-SEARCHED = ("refractory", "leak", "parasitic_photocurrent", "threshold_drift")
 HELD_OUT = 0.1  # share of the pixels that judge; the final training holds out less
 # Of the scene that candidates are judged on, as its false alarms were counted (tests): colours that depend on the
 # direction move with the camera, hence with time, and a drift of thresholds was named in two of three clean cameras.
@@ -48,8 +44,6 @@ MOST_ROUNDS = 3
 # more than a share: a scene gives back what it has taken of an effect by and by, and neighbours of the effect would be
 # named for the rest
 SETTLING, MOST_SETTLING, SETTLED = 2, 6, 0.1
-# Of these; hints of others go on in one direction, and took a drift of 0.6/s to 0.86: renewed `SETTLING` times only
-RENEWED_UNTIL_AT_REST = ("leak", "parasitic_photocurrent")
 # A drift is then looked for along a line, by factors that are tried in order, each while it explains held-out events
 # better: in bright light at low speed a scene takes most of it upon itself, and hints from its own rests end at a sixth
 FACTORS, MOST_SOUGHT = (2.0, 2.0**0.5, 0.5**0.5), 6
@@ -165,7 +159,7 @@ def search(
             here = plain
             break
         best, here = rivals[outcome[0]], outcome[1]
-        if names[best] in OF_EVENTS:
+        if names[best] in ADDITIONS and ADDITIONS[names[best]].of_events:
             here = bench.sought(here, names[best])
         kept.append((names[best], trials[best]))
         names = tuple(name for k, name in enumerate(names) if k != best)
@@ -251,7 +245,11 @@ class _Bench:
             there = self.go_on(begun, self.steps)
             gain = self._gain(reference, there)
             values = _values(name, there.calibration, there.state.pixel)
-            trials.append(Trial(EFFECTS.get(name, name), _told(name, begun.calibration), values, gain))
+            trials.append(
+                Trial(
+                    ADDITIONS[name].effect if name in ADDITIONS else name, _told(name, begun.calibration), values, gain
+                )
+            )
             places.append(there)
         return tuple(trials), tuple(places), plain
 
@@ -399,7 +397,7 @@ def _candidates(calibration: Calibration, bandwidth: Bandwidth, mapped: bool, sh
     A dead time is tried only where the shortest interval leaves room for a longer one than is stated.
     """
     circuit = calibration.circuit
-    names = [name for name in SEARCHED if name not in bandwidth.moving]
+    names = [name for name, addition in ADDITIONS.items() if addition.searched and name not in bandwidth.moving]
     if WITHIN * shortest <= circuit.refractory:
         names = [name for name in names if name != "refractory"]
     if not mapped and circuit.mismatch < MISMATCH:
@@ -410,10 +408,10 @@ def _candidates(calibration: Calibration, bandwidth: Bandwidth, mapped: bool, sh
 
 
 def _trained_by(name: str, calibration: Calibration) -> tuple[str, ...]:
-    """What of the pixel a candidate trains; a dead time is held, since training knows it to first order only."""
+    """What of the pixel a candidate trains."""
     if name == BANDWIDTH:
         return tuple(part for part in BANDWIDTH_FACTORS if part in filter_parameters(calibration.circuit))
-    return (name,) if name in ADDITIONS and name != "refractory" else ()
+    return (name,) if name in ADDITIONS and not ADDITIONS[name].held else ()
 
 
 def _cutoffs(circuit: Circuit) -> tuple[str, ...]:
@@ -425,9 +423,9 @@ def _cutoffs(circuit: Circuit) -> tuple[str, ...]:
 
 def _renewed(here: _Place, suggested: Suggested, problem: Problem, name: str = "", at_rest: bool = True) -> _Place:
     """Where strengths of what was kept begin again, with a candidate or alone; once it has settled (`at_rest`) only
-    those of `RENEWED_UNTIL_AT_REST`."""
+    those that are renewed until they rest."""
     new = _trained_by(name, here.calibration)
-    kept = (k for k in here.trained if k in RENEWED_UNTIL_AT_REST or not at_rest)
+    kept = (k for k in here.trained if k in ADDITIONS and (not at_rest or ADDITIONS[k].renewed))
     least = {k: ADDITIONS[k].least - getattr(here.calibration.circuit, ADDITIONS[k].field)
              for k in (*kept, *new) if k in ADDITIONS}  # fmt: skip
     moved, calibration = suggested.of(least), here.calibration

@@ -69,7 +69,7 @@ def response(problem: Problem, state: State, batch: Chains, u: torch.Tensor, eng
 
 
 def _moved_thresholds(problem: Problem, pixel: Pixel, batch: Chains) -> torch.Tensor:
-    """(runs, CHAIN) by how much more is to be crossed than the stretches say, through trained `OF_EVENTS`."""
+    """(runs, CHAIN) by how much more is to be crossed than the stretches say, through what is trained of their thresholds."""
     on, off = pixel.thresholds
     moved = torch.zeros(batch.rise.shape, dtype=torch.float64, device=on.device)
     for name, tilt in problem.tilts.items():

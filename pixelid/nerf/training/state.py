@@ -14,7 +14,7 @@ import torch
 
 from pixelid.nerf.data.camera import Camera
 from pixelid.nerf.data.trajectory import Trajectory
-from pixelid.nerf.effects.additions import IN_THRESHOLDS, Tilt, threshold_factor
+from pixelid.nerf.effects.additions import ADDITIONS, Tilt, threshold_factor
 from pixelid.nerf.events.gauge import Gauge, time_resolution
 from pixelid.nerf.events.intervals import Intervals
 from pixelid.nerf.events.quiet import NOTHING, Quiet
@@ -69,7 +69,8 @@ class Problem:
         """
         values, factor = pixel.values(), threshold_factor(self.tilts, pixel.addition)
         on, off = (factor * math.exp(log) for log in pixel.expected.mean(dim=0).tolist())
-        for name, by in (("on_threshold", on), ("off_threshold", off), *((name, 1 / on) for name in IN_THRESHOLDS)):
+        counted = ((addition.parameter, 1 / on) for addition in ADDITIONS.values() if addition.in_thresholds)
+        for name, by in (("on_threshold", on), ("off_threshold", off), *counted):
             if name in values:
                 values[name] *= by
         return values
