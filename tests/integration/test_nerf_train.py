@@ -30,7 +30,9 @@ from pixelid.nerf.data.calibration import FILE as CALIBRATION
 from pixelid.nerf.data.calibration import of_fit
 from pixelid.nerf.data.dataset import read_dataset
 from pixelid.nerf.field import radiance as fields
+from pixelid.nerf.field import render
 from pixelid.nerf.options import Options
+from pixelid.nerf.pixel import scan
 from pixelid.nerf.pixel.model import Bandwidth, limits_bandwidth
 from pixelid.nerf.reconstruct import Reconstruction, _left_open, _verdict, reconstruct
 from pixelid.nerf.shown.evaluate import no_scores
@@ -281,7 +283,7 @@ def test_a_checkpoint_of_another_run_or_a_damaged_one_is_set_aside(made, tmp_pat
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_tensors_train_as_the_compiled_engine_does(made, seed):
+def test_tensors_train_as_the_compiled_engine_does(made, seed, monkeypatch):
     """The torch path, which CUDA runs, follows the compiled one through all losses that are smooth.
 
     Absolute changes are not: where a level stays where it is within rounding, rounding decides their sign, and Adam
@@ -289,8 +291,10 @@ def test_tensors_train_as_the_compiled_engine_does(made, seed):
     """
     problem = problem_of(read_dataset(made))
     states = []
-    for engine in ("compiled", "tensors"):
-        recipe = replace(SMALL, iterations=4, engine=engine, seed=seed, weights=Weights(tv=0.0), roughness=0.0, quiet=0)
+    recipe = replace(SMALL, iterations=4, seed=seed, weights=Weights(tv=0.0), roughness=0.0, quiet=0)
+    for tensors in (False, True):
+        for module in (render, scan):
+            monkeypatch.setattr(module, "by_tensors", lambda *_, answer=tensors: answer)
         states.append(train(problem, recipe, start(problem, recipe, Bandwidth("on", 10))))
     torch.testing.assert_close(states[0].field.grid, states[1].field.grid, rtol=1e-3, atol=1e-3)
 

@@ -56,6 +56,11 @@ SAMPLES_AT_ONCE = 1 << 24  # of which occupied ones are looked for at a time: bo
 KEPT_PER_RAY = 24  # room for samples to begin with, by some fields more and by most less than what is met
 
 
+def by_tensors(engine: str, device: torch.device) -> bool:
+    """Whether an engine ("compiled", "tensors", or "auto" by device) is that of torch operations."""
+    return engine == "tensors" or (engine == "auto" and device.type != "cpu")
+
+
 class _Compiled(torch.autograd.Function):
     @staticmethod
     def forward(
@@ -246,7 +251,7 @@ def render(
     """
     if coefficients is None:
         coefficients = grid.new_zeros((len(grid), len(background), 0))
-    if engine == "tensors" or (engine == "auto" and grid.device.type != "cpu"):
+    if by_tensors(engine, grid.device):
         return _tensors(grid, coefficients, background, rays, box)
     origins, directions = torch.as_tensor(rays.origins), torch.as_tensor(rays.directions)
     plain = rays._replace(origins=origins.detach().numpy(), directions=directions.detach().numpy())

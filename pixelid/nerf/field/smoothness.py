@@ -15,7 +15,7 @@ import torch
 from numba import njit
 
 from pixelid.nerf.field.bricks import ROWS, SIDE, Bricks
-from pixelid.nerf.field.render import threads
+from pixelid.nerf.field.render import by_tensors, threads
 from pixelid.parallel import map_threads, ranges
 
 EMPTIEST = -6.0  # log density below which nothing is to be cleared
@@ -24,7 +24,7 @@ EMPTIEST = -6.0  # log density below which nothing is to be cleared
 def variation(grid: torch.Tensor, bricks: Bricks, engine: str = "auto") -> torch.Tensor:
     """V, differentiable, of the log radiance in a grid (rows, 1 + C) of `bricks`; engine: as of `render`."""
     share = np.float32(1.0 / ((bricks.vertices - 1) * bricks.vertices**2 * (grid.shape[1] - 1)))
-    if engine != "tensors" and (engine != "auto" or grid.device.type == "cpu"):
+    if not by_tensors(engine, grid.device):
         return _Variation.apply(grid, bricks, share)
     values, total = grid[:, 1:], grid.new_zeros(())
     for here, after in bricks.neighbours_on(grid.device):

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from pixelid.nerf.field.render import threads
+from pixelid.nerf.field.render import by_tensors, threads
 from pixelid.nerf.pixel import scan_kernels as kernels
 from pixelid.parallel import map_threads, ranges
 
@@ -76,9 +76,9 @@ def respond(
     "tensors" or "auto" (by device).
     """
     dynamics = dynamics.expand(len(first) - 1, kernels.PARAMETERS)
-    if engine == "tensors" or (engine == "auto" and u.device.type != "cpu"):
-        from pixelid.nerf.pixel.scan_tensors import respond as by_tensors
+    if by_tensors(engine, u.device):
+        from pixelid.nerf.pixel import scan_tensors
 
-        return by_tensors(u, dynamics, t, first, midpoint)
+        return scan_tensors.respond(u, dynamics, t, first, midpoint)
     level, output = _Compiled.apply(u, dynamics, t, first, midpoint)
     return level, output

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import torch
@@ -104,12 +105,13 @@ def _in_parts(field: Field, rays: Rays) -> np.ndarray:
 def score(predicted: np.ndarray, views: Views, correction: Correction) -> Scores:
     """Predictions (n, H, W, C) against test views, after correction, both clipped to [0, peak]."""
     images = np.clip(correction(predicted, views.exposure), 0.0, views.peak)
-    truth = np.clip(views.images, 0.0, views.peak)
-    error = ((images - truth) ** 2).mean(axis=(1, 2, 3))
-    psnr = psnr_of(error, views.peak)
-    return Scores(
-        psnr, ssim(images, truth, views.peak), lpips(images / views.peak, truth / views.peak), images, correction
-    )
+    return _scores(images, np.clip(views.images, 0.0, views.peak), views.peak, views.peak, correction)
+
+
+def _scores(images: np.ndarray, truth: np.ndarray, peak: float, span: float, correction: Correction) -> Scores:
+    """Of corrected views (n, H, W, C) against true ones; span: of the values, for PSNR."""
+    psnr = psnr_of(((images - truth) ** 2).mean(axis=(1, 2, 3)), span)
+    return Scores(psnr, ssim(images, truth, peak), lpips(images / peak, truth / peak), images, correction)
 
 
 def evaluate(field: Field, validation: Views, test: Views, dark) -> Scores:
@@ -140,11 +142,7 @@ def evaluate_as_published(field: Field, test: Views, dark) -> Scores:
         return no_scores(test)
     predicted = render_views(field, test, dark)
     correction = fit_shared_correction(predicted, test.images, test.exposure)
-    images = correction(predicted, test.exposure)
-    error = ((images - test.images) ** 2).mean(axis=(1, 2, 3))
-    psnr = psnr_of(error, test.span)
-    similar = ssim(images, test.images, test.peak)
-    return Scores(psnr, similar, lpips(images / test.peak, test.images / test.peak), images, correction)
+    return _scores(correction(predicted, test.exposure), test.images, test.peak, test.span, correction)
 
 
 def no_scores(test: Views) -> Scores:
@@ -158,21 +156,12 @@ def ssim(images, truth, peak: float) -> np.ndarray:
     """(n,) structural similarity as its authors compute it: Gaussian window, σ = 1.5 (scikit-image)."""
     from skimage.metrics import structural_similarity
 
-    return np.array(
-        [
-            structural_similarity(
-                a,
-                b,
-                data_range=peak,
-                channel_axis=-1,
-                gaussian_weights=True,
-                sigma=1.5,
-                use_sample_covariance=False,
-                win_size=11 if min(a.shape[:2]) >= 11 else (min(a.shape[:2]) - 1) | 1,
-            )
-            for a, b in zip(images, truth, strict=True)
-        ]
-    )
+    short = min(images.shape[1:3])
+    asked: dict[str, Any] = {
+        "data_range": peak, "channel_axis": -1, "gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False,
+        "win_size": 11 if short >= 11 else (short - 1) | 1,
+    }  # fmt: skip
+    return np.array([structural_similarity(a, b, **asked) for a, b in zip(images, truth, strict=True)])
 
 
 @lru_cache(maxsize=1)

@@ -30,8 +30,7 @@ def _rays_at(problem: Problem, state: State, t: np.ndarray, pixel: np.ndarray, o
 
 
 def light(
-    problem: Problem, state: State, batch: Chains, rng: np.random.Generator, engine: str = "auto",
-    pairs: Pairs | None = None,
+    problem: Problem, state: State, batch: Chains, rng: np.random.Generator, pairs: Pairs | None = None,
 ) -> tuple[torch.Tensor, torch.Tensor]:  # fmt: skip
     """(log radiance (n,) at the samples of a batch, at both ends of pairs (k, 2)), rendered in one go."""
     t, pixel, offsets = _samples(batch, rng)
@@ -39,19 +38,19 @@ def light(
         shared = np.repeat(rng.random(len(pairs.t), dtype=np.float32), 2)
         t, pixel = np.concatenate([t, pairs.t.ravel()]), np.concatenate([pixel, np.repeat(pairs.pixel, 2)])
         offsets = np.concatenate([offsets, shared])
-    radiance = state.field(_rays_at(problem, state, t, pixel, offsets), engine)[0]
+    radiance = state.field(_rays_at(problem, state, t, pixel, offsets))[0]
     dark = torch.as_tensor(problem.dark[problem.channel[pixel]])
     u = torch.log((radiance.double() + dark.to(radiance.device)).clamp(min=EPSILON))
     return u[: len(batch.t)], u[len(batch.t) :].reshape(-1, 2)
 
 
-def predict(problem: Problem, state: State, batch: Chains, rng: np.random.Generator, engine: str = "auto"):
+def predict(problem: Problem, state: State, batch: Chains, rng: np.random.Generator):
     """(change (runs, CHAIN), level (n,), log radiance (n,)) of a batch."""
-    u, _ = light(problem, state, batch, rng, engine)
-    return *response(problem, state, batch, u, engine), u
+    u, _ = light(problem, state, batch, rng)
+    return *response(problem, state, batch, u), u
 
 
-def response(problem: Problem, state: State, batch: Chains, u: torch.Tensor, engine: str = "auto"):
+def response(problem: Problem, state: State, batch: Chains, u: torch.Tensor):
     """(change (runs, CHAIN), level (n,)) of a batch whose samples have log radiance u (n,)."""
     pixel = state.pixel
     later = pixel.addition("refractory") if pixel.adds_to("refractory") else None
@@ -62,14 +61,14 @@ def response(problem: Problem, state: State, batch: Chains, u: torch.Tensor, eng
     if pixel.filtering:
         dynamics = pixel.dynamics_at(batch.pixel)
         midpoint = problem.circuit.linearisation == "midpoint"
-        level, output = respond(u, dynamics, batch.t, batch.first, midpoint=midpoint, engine=engine)
+        level, output = respond(u, dynamics, batch.t, batch.first, midpoint=midpoint)
         cutoff = dynamics[..., 6:7] if pixel.has_amplifier_pole else None
     change = changes(level, output, batch, cutoff, later, drift)
     return change - _moved_thresholds(problem, pixel, batch), level
 
 
 def _moved_thresholds(problem: Problem, pixel: Pixel, batch: Chains) -> torch.Tensor:
-    """(runs, CHAIN) by how much more is to be crossed than the stretches say, through what is trained of their thresholds."""
+    """(runs, CHAIN) by how much more is to be crossed than stretches say, through thresholds that are trained."""
     on, off = pixel.thresholds
     moved = torch.zeros(batch.rise.shape, dtype=torch.float64, device=on.device)
     for name, tilt in problem.tilts.items():

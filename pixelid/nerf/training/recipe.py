@@ -28,7 +28,12 @@ LEAST_STEPS, MOST_STEPS = 600, 30_000
 BYTES_PER_SAMPLE, SAMPLES_PER_CHAIN, SAMPLES_PER_PAST = 2000, 24.0, 2.4
 MEMORY_SHARE = 0.25
 ELSEWHERE = ("iterations", "seed")  # in reconstruction.json
-FIXED = {"density_roughness": 0.0, "supersample": 1, "revival": False}  # of its format: what no recipe changes
+FIXED = {
+    "density_roughness": 0.0,
+    "engine": "auto",
+    "supersample": 1,
+    "revival": False,
+}  # of its format: what no recipe changes
 
 
 @dataclass(frozen=True)
@@ -42,8 +47,7 @@ class Recipe:
     emptiness: λ of the mean log density, which clears what no event asks for;  quiet: λ of changes where nothing fired;
     degree: of the harmonics by which colour depends on the direction;  stiffness: λ of their mean square;  level: λ of
     the mean log radiance when the gauge needs it;  between_poses: "linear" or "cubic", how the camera went;
-    refinement: of the poses;  engine: of `render` and `respond`;  unbounded: whether space beyond the box is part of
-    the field, contracted (`contraction`)
+    refinement: of the poses;  unbounded: whether space beyond the box is part of the field, contracted (`contraction`)
     """
 
     iterations: int = STEPS
@@ -61,7 +65,6 @@ class Recipe:
     level: float = 10.0
     between_poses: str = "linear"
     refinement: Refinement = dataclasses.field(default_factory=Refinement)
-    engine: str = "auto"
     unbounded: bool = False
     seed: int = 0
 

@@ -40,13 +40,13 @@ def step(problem: Problem, recipe: Recipe, state: State) -> dict[str, float]:
     rng = np.random.default_rng([recipe.seed, parallel.rank(), state.iteration])  # nothing to carry between steps
     batch = draw(problem, state, problem.training, max(recipe.batch // parallel.world(), 1), rng)
     pairs = draw_quiet(problem, state, PAIRS * len(batch.pixel) if recipe.quiet > 0 else 0, rng)
-    u, in_quiet = light(problem, state, batch, rng, recipe.engine, pairs)
-    change, level = response(problem, state, batch, u, recipe.engine)
+    u, in_quiet = light(problem, state, batch, rng, pairs)
+    change, level = response(problem, state, batch, u)
     thresholds, growth = state.pixel.thresholds_at(batch.pixel), state.pixel.growth
     parts = terms(change, level, batch, *thresholds, growth)
     loss = total(parts, recipe.weights)
     if recipe.roughness > 0:
-        varies = variation(state.field.grid, state.field.bricks, recipe.engine)
+        varies = variation(state.field.grid, state.field.bricks)
         loss = loss + state.regularisation.factor * (recipe.roughness * varies / growth)
     if recipe.emptiness > 0:
         loss = loss + recipe.emptiness * mean_log_density(state.field.grid, state.field.bricks)
@@ -55,7 +55,7 @@ def step(problem: Problem, recipe: Recipe, state: State) -> dict[str, float]:
     if pairs is not None:
         loss = loss + recipe.quiet * quiet_change(in_quiet, *state.pixel.thresholds)
     if problem.gauge.kind == "level":
-        loss = loss + recipe.level * _off_level(problem, state, recipe.engine, rng)
+        loss = loss + recipe.level * _off_level(problem, state, rng)
     if any(values.requires_grad for values in state.pixel.parameters()):
         left = variance_left(change, batch, *thresholds)
         loss = loss + state.pixel.penalty(left) / max(len(problem.training.starts), 1)
@@ -79,7 +79,7 @@ def step(problem: Problem, recipe: Recipe, state: State) -> dict[str, float]:
     return measured
 
 
-def _off_level(problem: Problem, state: State, engine: str, rng: np.random.Generator) -> torch.Tensor:
+def _off_level(problem: Problem, state: State, rng: np.random.Generator) -> torch.Tensor:
     """Squared distance of the mean log light over random rays from that of the reference views, mean over colours.
 
     Dark current is part of the light: below it the events say nothing, and a mean of logs would be full of it.
@@ -92,7 +92,7 @@ def _off_level(problem: Problem, state: State, engine: str, rng: np.random.Gener
     inside = views.camera.directions(np.column_stack([x, y]))
     directions = np.einsum("nij,nj->ni", views.rotation[which], inside).astype(np.float32)
     rays = Rays(views.position[which].astype(np.float32), directions, channel, rng.random(LEVEL_RAYS, dtype=np.float32))
-    radiance, _ = state.field(rays, engine)
+    radiance, _ = state.field(rays)
     floor = np.maximum(problem.dark, EPSILON)[channel]
     target = torch.as_tensor(
         np.log(views.images[which, y, x, channel] / views.exposure[which] + floor), device=radiance.device
