@@ -23,7 +23,7 @@ from pixelid.nerf.options import Options
 from pixelid.nerf.pixel.maps import PixelMaps, maps_of_sensor
 from pixelid.nerf.pixel.model import FILTER, Bandwidth
 from pixelid.nerf.shown.beside import Beside
-from pixelid.nerf.shown.evaluate import Scores, evaluate, evaluate_as_published, no_scores, render_views
+from pixelid.nerf.shown.evaluate import Scores, evaluate, evaluate_as_published, no_scores
 from pixelid.nerf.shown.preview import refuse_preview, write_preview
 from pixelid.nerf.shown.saved import SavedReconstruction
 from pixelid.nerf.training import checkpoint, parallel
@@ -390,9 +390,3 @@ def _left_open(problem: Problem, state: State) -> list[str]:
             "as much more contrast, makes the same events, so the scene holds up to an exponent"
         )
     return open_
-
-
-def rendered(reconstruction: Reconstruction) -> np.ndarray:
-    """(n, H, W, C) corrected images of the test views."""
-    r = reconstruction
-    return r.scores.correction(render_views(r.state.field, r.truth, r.problem.dark), r.truth.exposure)

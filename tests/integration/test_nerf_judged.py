@@ -20,12 +20,11 @@ from pixelid.nerf.pixel.model import Bandwidth
 from pixelid.nerf.reconstruct import reconstruct
 from pixelid.nerf.training import checkpoint, judged
 from pixelid.nerf.training import train as training
+from pixelid.nerf.training.held_out import FACTORS, LOOKS
 from pixelid.nerf.training.judged import keep_best, train_judged
 from pixelid.nerf.training.problem import problem_of
 from pixelid.nerf.training.recipe import Recipe
-from pixelid.nerf.training.regularisation import FACTORS
 from pixelid.nerf.training.state import State, start
-from pixelid.nerf.training.stopping import LOOKS
 from pixelid.nerf.training.train import held_out_residual
 
 RECIPE = Recipe(iterations=96, batch=32, vertices=(9, 17))

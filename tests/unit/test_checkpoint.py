@@ -11,8 +11,7 @@ import torch
 
 from pixelid.errors import OutputError
 from pixelid.nerf.training import checkpoint
-from pixelid.nerf.training.regularisation import Regularisation
-from pixelid.nerf.training.stopping import Stopping
+from pixelid.nerf.training.held_out import Regularisation, Stopping
 
 
 @pytest.fixture

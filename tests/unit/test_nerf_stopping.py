@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import ttest_1samp
 
-from pixelid.nerf.training.gain import most_gained, paired
+from pixelid.nerf.training.held_out import FACTORS, LOOKS, Look, Stopping, chosen, looked_at, most_gained, paired
 from pixelid.nerf.training.recipe import Recipe
-from pixelid.nerf.training.regularisation import FACTORS, chosen
-from pixelid.nerf.training.stopping import LOOKS, Look, Stopping, looked_at
 
 PIXELS, ROWS = 120, 3000
 

@@ -25,7 +25,7 @@ from pixelid.nerf.options import ALPHA, LEAST_SHARE
 from pixelid.nerf.pixel.maps import MISMATCH
 from pixelid.nerf.pixel.model import FILTER, Bandwidth, Pixel, filter_parameters
 from pixelid.nerf.training import parallel
-from pixelid.nerf.training.gain import Gain
+from pixelid.nerf.training.held_out import Gain
 from pixelid.nerf.training.recipe import Recipe
 from pixelid.nerf.training.residuals import Rows, compare, residual_map, rows_of
 from pixelid.nerf.training.state import Problem, State, optimiser_of, start

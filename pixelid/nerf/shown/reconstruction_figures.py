@@ -11,6 +11,7 @@ import numpy as np
 from pixelid.figures.style import INK, OFF, ON, legend_above, new_axes, save_figure, series_colours, styled
 from pixelid.nerf.reconstruct import Reconstruction
 from pixelid.nerf.shown.beside import write_slider
+from pixelid.nerf.shown.figures import hide_ticks_and_frames
 from pixelid.nerf.training.residuals import Left
 
 SHOWN = 5
@@ -50,11 +51,7 @@ def draw_views(result: Reconstruction, axes: Any = None) -> Any:
         axes[0, column].set_title(result.truth.names[k])
     for row, name in enumerate(("reference", "reconstruction", "absolute error")):
         axes[row, 0].set_ylabel(name)
-    for axis in axes.flat:
-        axis.set_xticks([])
-        axis.set_yticks([])
-        axis.grid(False)
-        axis.spines[:].set_visible(False)
+    hide_ticks_and_frames(axes)
     axes[2, 0].figure.colorbar(error_map, ax=axes[2].tolist(), shrink=0.8, label="radiance (units of the views)")
     return axes
 

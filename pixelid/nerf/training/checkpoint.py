@@ -19,10 +19,9 @@ from pixelid.nerf.field.bricks import Bricks
 from pixelid.nerf.field.radiance import Field, blocks
 from pixelid.nerf.pixel.model import Bandwidth
 from pixelid.nerf.training import parallel
+from pixelid.nerf.training.held_out import Look, Regularisation, Trial
 from pixelid.nerf.training.recipe import Recipe
-from pixelid.nerf.training.regularisation import Regularisation, Trial
 from pixelid.nerf.training.state import Problem, State, learned, optimiser_of, start, take
-from pixelid.nerf.training.stopping import Look
 from pixelid.outputs import set_aside, whole_file
 
 FORMAT = "pixelid-reconstruction-checkpoint-4"

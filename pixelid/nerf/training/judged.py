@@ -1,7 +1,7 @@
 """Training whose regularisation, length and outcome are chosen by events of pixels that it has not seen.
 
 Those events choose nothing but one factor of the regularisation and one of some states, so what `held_out_residual`
-owes to the choice is below what separates two states (`stopping`).
+owes to the choice is below what separates two states (`held_out`).
 """
 
 from __future__ import annotations
@@ -14,11 +14,10 @@ import numpy as np
 from pixelid.nerf.field.bricks import Bricks
 from pixelid.nerf.options import AUTO
 from pixelid.nerf.training import parallel
+from pixelid.nerf.training.held_out import AHEAD, FACTORS, Look, Regularisation, chosen
 from pixelid.nerf.training.recipe import Recipe
-from pixelid.nerf.training.regularisation import AHEAD, FACTORS, Regularisation, chosen
 from pixelid.nerf.training.residuals import loss_of_pixels, rows_of
 from pixelid.nerf.training.state import Problem, State, learned, take
-from pixelid.nerf.training.stopping import Look
 from pixelid.nerf.training.train import train
 
 MOST_CHAINS = 2048  # of held-out pixels, that are looked at: a look costs less than five steps of as many chains

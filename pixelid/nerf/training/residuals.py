@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from pixelid.nerf.events.intervals import CHAIN, Intervals
-from pixelid.nerf.training.gain import Gain, paired
+from pixelid.nerf.training.held_out import Gain, paired
 from pixelid.nerf.training.losses import Weights, huber
 from pixelid.nerf.training.predict import chains_at, predict
 from pixelid.nerf.training.state import Problem, State

@@ -22,10 +22,9 @@ from pixelid.nerf.field.bricks import Bricks
 from pixelid.nerf.field.radiance import Field
 from pixelid.nerf.pixel.maps import PixelMaps
 from pixelid.nerf.pixel.model import Bandwidth, Pixel
+from pixelid.nerf.training.held_out import Regularisation, Stopping, looked_at
 from pixelid.nerf.training.poses import Poses
 from pixelid.nerf.training.recipe import Recipe
-from pixelid.nerf.training.regularisation import Regularisation
-from pixelid.nerf.training.stopping import Stopping, looked_at
 from pixelid.stages.circuit import Circuit
 
 HARMONICS_RATE = 0.3  # learning rate of the harmonics over the grid's
