@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -133,17 +134,18 @@ def reconstruct(
     mark = checkpoint.run_identity(problem, recipe, bandwidth, inputs)
     found: Mapping[str, Any] | None = None
     if options.gap:
+        told = calibration
         kept = checkpoint.search_file(Path(resume)) if resume is not None else None
-        outcome = checkpoint.load_search(kept, calibration, mark) if kept else None
+        outcome = checkpoint.load_search(kept, told, mark) if kept else None
         if outcome is None:
             result = search(
-                calibration, bandwidth, recipe, partial(make, held_out=SEARCH_HELD_OUT),
-                mapped=maps is not None, score=lambda state: _psnr(_running(state, problem, validation)), device=device,
+                told, bandwidth, recipe, partial(make, held_out=SEARCH_HELD_OUT), mapped=maps is not None,
+                score=lambda state: _psnr(_running(state, problem, validation)), device=device,
                 progress=lambda what, share: progress(what, 0.5 * share),
             )  # fmt: skip
             outcome = result.calibration, result.trained, result.as_dict()
             if kept and parallel.rank() == 0:
-                checkpoint.save_search(kept, calibration, *outcome, mark)
+                checkpoint.save_search(kept, told, *outcome, mark)
         calibration, trained, found = outcome
         bandwidth = replace(bandwidth, trained=(*bandwidth.trained, *trained))
         problem = make(calibration, trained=bandwidth.moving)
@@ -173,7 +175,6 @@ def reconstruct(
     status, advice = _verdict(
         held_out, scores, state.iteration, finite, state.pixel.thresholds_from_told(), unidentified
     )  # fmt: skip
-    correction, one = scores.correction, len(scores.correction.a) == 1
     content = {
         "status": status,
         "advice": advice,
@@ -182,39 +183,47 @@ def reconstruct(
         "unidentified": unidentified,
         "gap": {**found, "final": left.as_dict() if left else None} if found else None,
         "beside": None if other is None else other.as_dict(),
-        "views": scores.as_dict(truth),
-        "log_eps": truth.log_eps,
-        "correction": {
-            name: float(value[0]) if one else value.tolist()
-            for name, value in (("a", correction.a), ("b", correction.b), ("c", correction.c))
-        },
-        "published_protocol": published.means() if published is not None else None,
-        "lpips_note": "" if scores.lpips is not None else "LPIPS or its weights are not installed",
-        "iterations": state.iteration,
+        **_of_scores(scores, published, truth),
         "seconds": watched.earlier_s + time.perf_counter() - watch,
         "device": device,
         "rays_per_second": rate,
         "samples": bandwidth.samples,
-        "recipe": recipe.as_dict(),
         "held_out_residual": held_out,
-        "stopping": state.stopping.as_dict(state.iteration, diverged=not state.finite),
-        "regularisation": state.regularisation.as_dict(),
-        "gauge": {"kind": problem.gauge.kind, "background": problem.gauge.background},
-        "box": {"low": problem.low, "high": problem.high, "near": problem.near},
-        "pixel": {
-            **dict.fromkeys(FILTER),
-            **problem.values(state.pixel),
-            "differencing": problem.circuit.differencing,
-            "dark": problem.dark,
-        },
-        "pixels": problem.pixels_as_dict(state.pixel),
-        "poses": state.poses.as_dict(problem.time_resolution_s),
-        "history": state.history,
-        "seed": recipe.seed,
+        **_of_training(problem, recipe, state),
         "versions": versions(),
         "inputs_sha256": inputs,
     }
     return Reconstruction(content, state.field, state, problem, recipe, scores, truth, published, other, left)
+
+
+def _of_scores(scores: Scores, published: Scores | None, truth: Views) -> dict[str, Any]:
+    """Entries of reconstruction.json about the test views."""
+    numbers = {name: getattr(scores.correction, name).tolist() for name in ("a", "b", "c")}
+    return {
+        "views": scores.as_dict(truth),
+        "log_eps": truth.log_eps,
+        "correction": {name: values[0] if len(values) == 1 else values for name, values in numbers.items()},
+        "published_protocol": published.means() if published is not None else None,
+        "lpips_note": "" if scores.lpips is not None else "LPIPS or its weights are not installed",
+    }
+
+
+def _of_training(problem: Problem, recipe: Recipe, state: State) -> dict[str, Any]:
+    """Entries of reconstruction.json about what was trained."""
+    pixel = {**dict.fromkeys(FILTER), **problem.values(state.pixel)}
+    return {
+        "iterations": state.iteration,
+        "recipe": recipe.as_dict(),
+        "stopping": state.stopping.as_dict(state.iteration, diverged=not state.finite),
+        "regularisation": dataclasses.asdict(state.regularisation),
+        "gauge": {"kind": problem.gauge.kind, "background": problem.gauge.background},
+        "box": {"low": problem.low, "high": problem.high, "near": problem.near},
+        "pixel": {**pixel, "differencing": problem.circuit.differencing, "dark": problem.dark},
+        "pixels": problem.pixels_as_dict(state.pixel),
+        "poses": state.poses.as_dict(problem.time_resolution_s),
+        "history": state.history,
+        "seed": recipe.seed,
+    }
 
 
 def _device(asked: str) -> str:

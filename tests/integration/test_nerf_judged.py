@@ -197,7 +197,7 @@ search.suggestions = apart
 found = px.reconstruct(sys.argv[1], iterations=24, regularisation="auto", gap=True, device="cpu")
 state = found.state
 looks = [look.losses for look in state.stopping.looks]
-trials = [(trial.loss, trial.gain, trial.p_value) for trial in state.regularisation.trials]
+trials = [(trial.loss, trial.heldout_gain, trial.p_value) for trial in state.regularisation.trials]
 effects = [value for effect in found.gap["effects"] for value in effect["values"].values()]
 np.savez(f"{sys.argv[2]}/{parallel.rank()}.npz", looks=looks, trials=trials, effects=effects,
          gap=found.gap["heldout_gain"], grid=state.field.grid.detach().numpy())

@@ -102,23 +102,19 @@ class Trial:
 
     factor: float
     loss: float
-    gain: float = 0.0
+    heldout_gain: float = 0.0
     p_value: float = 1.0
 
 
 @dataclass(frozen=True)
 class Regularisation:
-    """factor: of the weight of the total variation, in the last stage;  trials: that it was chosen by, if any."""
+    """The entry "regularisation" of reconstruction.json.
+
+    factor: of the weight of the total variation, in the last stage;  trials: that it was chosen by, if any
+    """
 
     factor: float = 1.0
     trials: tuple[Trial, ...] = ()
-
-    def as_dict(self) -> dict[str, Any]:
-        """The entry "regularisation" of reconstruction.json."""
-        trials = [
-            {"factor": t.factor, "loss": t.loss, "heldout_gain": t.gain, "p_value": t.p_value} for t in self.trials
-        ]
-        return {"factor": self.factor, "trials": trials}
 
 
 def chosen(usual: np.ndarray, others: Sequence[np.ndarray], rows: int) -> Regularisation:
