@@ -5,6 +5,7 @@
         cells: int | None = option(None, "cells of the field per side", low=8, high=512)
 
 A field states its default, its bounds, its words and, where a number decides something, the reason for that number.
+Kinds are read from annotations, which a module of options postpones (`from __future__ import annotations`).
 """
 
 from __future__ import annotations
