@@ -169,7 +169,7 @@ def filter_of_deblur_e_nerf(folder: Path, model) -> float:
 
     from pixelid.dynamics.of_circuit import dynamics_of
     from pixelid.dynamics.trajectory import integrate
-    from pixelid.nerf.calibration import CIRCUIT, COMPARATOR  # the keys of the file
+    from pixelid.nerf.data.calibration import CIRCUIT, COMPARATOR  # the keys of the file
 
     torch.set_default_dtype(torch.float64)
     exported = export(model, "deblur-e-nerf", Light(level=LEVEL)).parameters

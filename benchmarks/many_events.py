@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from pixelid.nerf import calibration
-from pixelid.nerf.dataset import EVENTS, Dataset, write_poses
-from pixelid.nerf.views import FOLDER, RENDERER
+from pixelid.nerf.data import calibration
+from pixelid.nerf.data.dataset import EVENTS, Dataset, write_poses
+from pixelid.nerf.data.views import FOLDER, RENDERER
 
 
 def filmed_again(data: Dataset, events: int, path: Path) -> int:

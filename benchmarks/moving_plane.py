@@ -27,9 +27,9 @@ from torch.nn.functional import huber_loss
 
 from pixelid.figures.style import styled
 from pixelid.model.shipped import find_model
-from pixelid.nerf.pixel import Bandwidth, Pixel
-from pixelid.nerf.recipe import Recipe
-from pixelid.nerf.scan import respond
+from pixelid.nerf.pixel.model import Bandwidth, Pixel
+from pixelid.nerf.pixel.scan import respond
+from pixelid.nerf.training.recipe import Recipe
 from pixelid.simulate import simulate_stream
 from pixelid.stages.circuit import Circuit
 

@@ -1,4 +1,4 @@
-"""Scenes of another make than `pixelid.nerf.scenes`: thin legs, flat surfaces of one colour, shadows, things
+"""Scenes of another make than `pixelid.nerf.data.scenes`: thin legs, flat surfaces of one colour, shadows, things
 that hang in the air, before white, grey and dark.
 
 Solids are met analytically, lit by a sky and one lamp that casts shadows (Lambert), with Phong's highlight.  Nothing is
@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from pixelid.nerf import raycast
-from pixelid.nerf.camera import Camera, sub_pixel_directions
-from pixelid.nerf.scenes import EXTENT, Scene, on_sphere, procedural
+from pixelid.nerf.data import raycast
+from pixelid.nerf.data.camera import Camera, sub_pixel_directions
+from pixelid.nerf.data.scenes import EXTENT, Scene, on_sphere, procedural
 
 ELLIPSOID, BOX, CYLINDER = 0.0, 1.0, 2.0
 FLAT, CHECKER, STRIPES = 0.0, 1.0, 2.0

@@ -52,6 +52,7 @@ import torch
 from many_events import filmed_again
 from other_scenes import FAR, SCENES, far_away
 from paths.memory import command_apart
+from posed import DEGREE, ITERATIONS, grey_over_white, scene_of_images
 from scipy.spatial.transform import Rotation
 from two_stage import two_stage
 
@@ -59,19 +60,19 @@ from pixelid.demo.demo import calibration_session
 from pixelid.fit import fit
 from pixelid.model.model import Model
 from pixelid.model.shipped import find_model
-from pixelid.nerf.calibration import in_unit, of_fit
-from pixelid.nerf.camera import Camera
-from pixelid.nerf.dataset import Dataset, read_dataset
-from pixelid.nerf.evaluate import ssim
-from pixelid.nerf.pixel import Bandwidth
-from pixelid.nerf.posed import DEGREE, ITERATIONS, grey_over_white, scene_of_images
-from pixelid.nerf.poses import Refinement
-from pixelid.nerf.recipe import Recipe
+from pixelid.nerf.data.calibration import in_unit, of_fit
+from pixelid.nerf.data.camera import Camera
+from pixelid.nerf.data.dataset import Dataset, read_dataset
+from pixelid.nerf.data.scenes import EXTENT, spiral
+from pixelid.nerf.data.trajectory import Trajectory
+from pixelid.nerf.data.views import OPENGL
+from pixelid.nerf.options import Options
+from pixelid.nerf.pixel.model import Bandwidth
 from pixelid.nerf.reconstruct import reconstruct
-from pixelid.nerf.scenes import EXTENT, spiral
+from pixelid.nerf.shown.evaluate import ssim
 from pixelid.nerf.synthetic import SETTINGS, Renders, Setting, camera_model, make_dataset
-from pixelid.nerf.trajectory import Trajectory
-from pixelid.nerf.views import OPENGL
+from pixelid.nerf.training.poses import Refinement
+from pixelid.nerf.training.recipe import Recipe
 
 EXPERIMENTS = (
     "bandwidth", "baselines", "samples", "batch", "grid", "joint", "pixel", "effect", "scale", "whole", "field",
@@ -322,11 +323,12 @@ def run(
         else:
             chosen = options.pop("recipe", Recipe())
             chosen = replace(chosen, iterations=iterations) if iterations else chosen
-            result = reconstruct(data, recipe=chosen, seed=seed, device=device, **options)
+            pixel = {name: options.pop(name) for name in ("bandwidth", "calibration") if name in options}
+            result = reconstruct(data, Options(seed=seed, device=device, **options), recipe=chosen, **pixel)
             scores = result.scores
             row |= {
                 "iterations": result.state.iteration, "degree": chosen.degree, "held_out": round(result.held_out, 4),
-                "rays_per_second": round(result.rays_per_second), "pixel": result.state.pixel.values(),
+                "rays_per_second": round(result.content["rays_per_second"]), "pixel": result.state.pixel.values(),
                 "found": [effect["name"] for effect in result.gap["effects"]] if result.gap else None,
                 "poses": result.state.poses.as_dict(result.problem.time_resolution_s),
             }  # fmt: skip

@@ -14,18 +14,18 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from pixelid.nerf import raycast
-from pixelid.nerf.camera import sub_pixel_directions
-from pixelid.nerf.dataset import Dataset, read_dataset
-from pixelid.nerf.intervals import chains
-from pixelid.nerf.losses import changes, unexplained
-from pixelid.nerf.past import past_of
-from pixelid.nerf.pixel import Bandwidth, Pixel
-from pixelid.nerf.predict import EPSILON
-from pixelid.nerf.problem import problem_of
-from pixelid.nerf.scan import respond
-from pixelid.nerf.scenes import procedural
+from pixelid.nerf.data import raycast
+from pixelid.nerf.data.camera import sub_pixel_directions
+from pixelid.nerf.data.dataset import Dataset, read_dataset
+from pixelid.nerf.data.scenes import procedural
+from pixelid.nerf.events.intervals import chains
+from pixelid.nerf.pixel.model import Bandwidth, Pixel
+from pixelid.nerf.pixel.past import past_of
+from pixelid.nerf.pixel.scan import respond
 from pixelid.nerf.synthetic import SETTINGS, make_dataset
+from pixelid.nerf.training.losses import changes, unexplained
+from pixelid.nerf.training.predict import EPSILON
+from pixelid.nerf.training.problem import problem_of
 
 CHAINS = 200
 

@@ -14,11 +14,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from posed import fit_field
 
-from pixelid.nerf.dataset import Dataset, evaluation_views
-from pixelid.nerf.evaluate import Scores, evaluate
-from pixelid.nerf.posed import fit_field
-from pixelid.nerf.problem import problem_of
+from pixelid.nerf.data.dataset import Dataset, evaluation_views
+from pixelid.nerf.shown.evaluate import Scores, evaluate
+from pixelid.nerf.training.problem import problem_of
 
 IMAGES = 256
 SETTLED = 0.125  # share of the recording before the first image

@@ -32,7 +32,7 @@ RESULTS = (
     "pixelid.compare.compare.Comparison",
     "pixelid.sensors.sensor.SensorFit",
     "pixelid.nerf.reconstruct.Reconstruction",
-    "pixelid.nerf.saved.SavedReconstruction",
+    "pixelid.nerf.shown.saved.SavedReconstruction",
     "pixelid.errors.InputError",
 )
 WIDTH = 110

@@ -10,7 +10,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pixelid.errors import InputError
+from pixelid.nerf.options import Options as Reconstructing
+from pixelid.options import takes
 from pixelid.public import public
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from pixelid.gap.result import GapReport
     from pixelid.inputs import ModelLike, RecordingsLike
     from pixelid.lowlight.result import LowlightReport
-    from pixelid.nerf.field import Field
+    from pixelid.nerf.field.radiance import Field
     from pixelid.nerf.reconstruct import Reconstruction
     from pixelid.recordings.recording import Recording
     from pixelid.tables.biases.result import BiasLaws
@@ -218,68 +219,22 @@ def stimulus(
 
 
 @public
+@takes(Reconstructing)
 def reconstruct(
     dataset: str | Path,
     *,
-    fit: ModelLike | FitResult | GapReport | None = None,
-    sensor: str | Path | None = None,
-    bandwidth: str = "on",
-    samples: int = 30,
-    trained: Sequence[str] = (),
-    between_poses: str = "linear",
-    refine_time: float | None = None,
-    refine_poses: tuple[float, float] | None = None,
-    gap: bool = False,
-    beside: str | Path | None = None,
-    cells: int | None = None,
-    harmonics: int = 1,
-    iterations: int | str | None = None,
-    batch: int | None = None,
-    regularisation: str = "usual",
-    background: float | None = None,
-    scale: str = "auto",
-    box: tuple[float, ...] | None = None,
-    near: float = 0.0,
-    unbounded: bool = False,
-    radiance_scale: float | None = None,
-    protocol: str = "strict",
     resume: str | Path | None = None,
     preview: str | Path | None = None,
-    device: str = "auto",
-    seed: int = 0,
     progress: Progress | None = None,
+    **options: Any,
 ) -> Reconstruction:
     """Reconstruct a scene from motion-blurred events, through the identified pixel.
 
     Args:
         dataset: a folder in the published layout of Robust e-NeRF and Deblur e-NeRF.
-        fit: a fit or a search for the gap, or the folder of one, or a model, whose pixel replaces the dataset's.
-        sensor: folder of a sensor fit, whose maps say how the pixels differ.
-        bandwidth: the pixel's filter: "on" (known), "off" (ignored), or "joint" (trained with the scene).
-        samples: of the pixel's past, per event.
-        trained: of the pixel, trained with the scene: "threshold", "ratio", "refractory", "leak",
-            "parasitic_photocurrent", "threshold_drift", "polarity_memory".
-        between_poses: how the camera went, "linear" (constant rates) or "cubic" (splines).
-        refine_time: train an offset between the clocks of poses and events, known to so many seconds.
-        refine_poses: train smooth corrections of the poses, known to so much of the scene's unit and so many degrees.
-        gap: look in the events for effects that the pixel lacks, and train with those found.
-        beside: folder of another reconstruction of the dataset, shown next to this one.
-        cells: of the field per side, 8 to 512; by default one per pixel, 32 to 512.
-        harmonics: degree of the harmonics by which colours depend on the direction, 0 to 2.
-        iterations: training steps, 1200 by default; "auto" for steps and batch by the number of events.
-        batch: chains of events per step; by default 320, or what "auto" chooses.
-        regularisation: smoothing, "usual", or "auto": ⅓, 1 or 3 times that, chosen on held-out events.
-        background: radiance behind the scene; by default what the views show.
-        scale: what pins the radiance unit: "auto", "level" or "free".
-        box: corners of the scene, x0 y0 z0 x1 y1 z1; by default a cube where the views look.
-        near: distance from the camera before which nothing is, in the unit of the poses.
-        unbounded: the scene goes on beyond the box; all of space is part of the field, the coarser the further.
-        radiance_scale: the fit's radiance units per unit of the views.
-        protocol: of the scores: "strict", or "paper" for those of the reference implementation with them.
+        **options
         resume: a checkpoint, continued when it exists and written as training goes on.
         preview: a PNG of the scene, replaced as training goes on; another picture of that name is refused.
-        device: "cpu", "cuda" or "auto".
-        seed: of everything random.
         progress: called with what is done and the fraction.
 
     Returns:
@@ -292,28 +247,14 @@ def reconstruct(
         >>> import pixelid as px
         >>> px.reconstruct("scene/", fit="fit/")  # doctest: +SKIP
     """
-    from pixelid.nerf.dataset import read_dataset
-    from pixelid.nerf.given import one_of
-    from pixelid.nerf.pixel import TRAINABLE, Bandwidth
-    from pixelid.nerf.poses import Refinement
-    from pixelid.nerf.recipe import Recipe
+    from pixelid.nerf.data.dataset import read_dataset
     from pixelid.nerf.reconstruct import reconstruct as run
 
-    one_of("bandwidth", bandwidth, ("on", "off", "joint"))
-    if unknown := [name for name in trained if name not in TRAINABLE]:
-        raise InputError(f"trained: expected names of {', '.join(TRAINABLE)}, found {unknown[0]!r}")
-    recipe = Recipe.asked(
-        steps=iterations, batch=batch, cells=cells, harmonics=harmonics, between_poses=between_poses,
-        refinement=Refinement.of(refine_time, refine_poses), regularisation=regularisation, unbounded=unbounded,
-    )  # fmt: skip
-    with _as_file(fit) as file:
+    with _as_file(options.pop("fit", None)) as file:
+        asked = Reconstructing(fit=file, **options)
         return run(
-            read_dataset(Path(dataset)), fit=file, sensor=None if sensor is None else Path(sensor),
-            bandwidth=Bandwidth(bandwidth, samples, trained=tuple(trained)), recipe=recipe, gap=gap,
-            beside=None if beside is None else Path(beside), background=background, scale=scale, box=box, near=near,
-            radiance_scale=radiance_scale, protocol=protocol, resume=None if resume is None else Path(resume),
-            preview=None if preview is None else Path(preview), device=device, seed=seed,
-            progress=progress or (lambda what, share: None),
+            read_dataset(Path(dataset)), asked, resume=None if resume is None else Path(resume),
+            preview=None if preview is None else Path(preview), progress=progress or (lambda what, share: None),
         )  # fmt: skip
 
 
@@ -367,7 +308,7 @@ def load_field(folder: str | Path) -> Field:
         >>> import pixelid as px
         >>> px.load_field("sharp/").vertices  # doctest: +SKIP
     """
-    from pixelid.nerf.saved import read_field
+    from pixelid.nerf.shown.saved import read_field
 
     return read_field(Path(folder))
 

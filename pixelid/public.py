@@ -22,8 +22,7 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 MOST_SEED = 2**32 - 1  # of NumPy's generators on every platform
-LEAST = {"seed": 0, "sensor_seed": 0, "starts": 0, "pixels": 1, "threads": 1, "draws": 1, "wanted": 1, "max_steps": 1,
-         "samples": 1, "batch": 1, "cells": 1, "harmonics": 0}  # fmt: skip
+LEAST = {"seed": 0, "sensor_seed": 0, "starts": 0, "pixels": 1, "threads": 1, "draws": 1, "wanted": 1, "max_steps": 1}
 MOST = {"seed": MOST_SEED, "sensor_seed": MOST_SEED}
 KINDS: dict[str, tuple[tuple[type, ...], str]] = {
     "int": ((Integral,), "a whole number"),

@@ -323,7 +323,7 @@ def _kept(folder: Path) -> Iterator[Target]:
 
     from pixelid.cluster import _kept, _sealed
     from pixelid.fit.cache import FitCache, _line
-    from pixelid.nerf import checkpoint
+    from pixelid.nerf.training import checkpoint
     from pixelid.sample.ensembles import Ensembles
     from pixelid.sample.proposal import Proposal
 
@@ -370,8 +370,8 @@ def _scenes(folder: Path) -> Iterator[Target]:
     """A dataset of posed pictures and events, each of its files damaged in turn, and what is written of it."""
     from skimage.io import imsave
 
-    from pixelid.nerf.dataset import read_dataset
-    from pixelid.nerf.saved import read_field
+    from pixelid.nerf.data.dataset import read_dataset
+    from pixelid.nerf.shown.saved import read_field
 
     scene = folder / "scene"
     (scene / "views").mkdir(parents=True)

@@ -9,7 +9,7 @@ import textwrap
 from collections.abc import Callable
 
 from pixelid.dynamics import equations
-from pixelid.nerf import scan_adjoint
+from pixelid.nerf.pixel import scan_adjoint
 
 # + − × ÷ where the photoreceptor's poles are real, of functions that have branches
 FACTORS = 15  # `kernels.photoreceptor_factors`

@@ -13,8 +13,8 @@ from paths.sizes import Sizes
 from paths.timing import Counts, Other, Target, Task, compared
 from pixelid.dynamics.of_circuit import dynamics_of
 from pixelid.model.shipped import find_model
-from pixelid.nerf.scan import respond
-from pixelid.nerf.scan_kernels import STATES
+from pixelid.nerf.pixel.scan import respond
+from pixelid.nerf.pixel.scan_kernels import STATES
 
 KINDS = {"forward": (False, False), "gradient by light": (True, False), "all gradients": (True, True)}
 TARGETS = {"float32": 30.0, "float64": 40.0}

@@ -73,13 +73,13 @@ def training(chains: int) -> Work:
     """Three steps of training with so many chains in a batch."""
     import torch
 
-    from pixelid.nerf.dataset import read_dataset
-    from pixelid.nerf.pixel import Bandwidth
-    from pixelid.nerf.problem import problem_of
-    from pixelid.nerf.recipe import Recipe
-    from pixelid.nerf.state import start
+    from pixelid.nerf.data.dataset import read_dataset
+    from pixelid.nerf.pixel.model import Bandwidth
     from pixelid.nerf.synthetic import make_dataset
-    from pixelid.nerf.train import step
+    from pixelid.nerf.training.problem import problem_of
+    from pixelid.nerf.training.recipe import Recipe
+    from pixelid.nerf.training.state import start
+    from pixelid.nerf.training.train import step
 
     torch.set_num_threads(1)
     with tempfile.TemporaryDirectory() as folder:

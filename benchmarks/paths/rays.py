@@ -14,12 +14,12 @@ import torch
 from paths.hash_grid import Hash
 from paths.sizes import Sizes
 from paths.timing import Counts, Other, Task, compared
-from pixelid.nerf.bricks import Bricks
-from pixelid.nerf.camera import pinhole
-from pixelid.nerf.field import blocks
-from pixelid.nerf.recipe import Recipe
-from pixelid.nerf.render import Box, Rays, render
-from pixelid.nerf.scenes import spiral
+from pixelid.nerf.data.camera import pinhole
+from pixelid.nerf.data.scenes import spiral
+from pixelid.nerf.field.bricks import Bricks
+from pixelid.nerf.field.radiance import blocks
+from pixelid.nerf.field.render import Box, Rays, render
+from pixelid.nerf.training.recipe import Recipe
 
 HALF = 1.44  # of the box
 FIELD_OF_VIEW = 0.69

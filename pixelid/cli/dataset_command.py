@@ -64,8 +64,8 @@ def command(
     if end is not None and end <= (start or 0.0):
         raise InputError(f"--end: expected a time after --start, found {end:g} s")
     with claimed(out, overwrite, [source]):
-        from pixelid.nerf.published.convert import convert
-        from pixelid.nerf.published.figures import write_figures
+        from pixelid.nerf.data.published.convert import convert
+        from pixelid.nerf.data.published.figures import write_figures
         from pixelid.report.html import write_report
 
         with bar(quiet) as report, whole_folder(out, overwrite) as folder:

@@ -10,6 +10,8 @@ from typing import Any, TypeVar, cast
 
 import click
 
+from pixelid.options import Option, options_of
+
 Decorated = TypeVar("Decorated", bound=Callable[..., Any])
 Decorator = Callable[[Decorated], Decorated]
 
@@ -43,6 +45,18 @@ class Number(click.ParamType):
         if math.isfinite(self.low) and math.isfinite(self.high):
             return f"a number {above} and at most {self.high:g}"
         return f"a number {above}" if math.isfinite(self.low) else "a finite number"
+
+
+class IntOrWord(click.IntRange):
+    """A whole number, or a word in its place."""
+
+    def __init__(self, low: int, high: int, word: str) -> None:
+        super().__init__(low, high)
+        self.word, self.name = word, f"integer|{word}"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The number, or the word."""
+        return value if value == self.word else super().convert(value, param, ctx)
 
 
 class Name(click.Path):
@@ -111,6 +125,50 @@ def seed(help: str | None = None, **settings: Any) -> Decorator:
 
 
 no_seed = seed("No effect on this command.")
+
+
+def of(options: type) -> Decorator:
+    """An option for every field of an options class, handed on together as `asked`, one of that class."""
+    every = options_of(options)
+
+    def decorate(command: Decorated) -> Decorated:
+        @functools.wraps(command)
+        def gathered(*arguments: Any, **others: Any) -> Any:
+            values = {option.name: others.pop(option.name) for option in every}
+            given = {name: value for name, value in values.items() if value is not None and value != ()}
+            return command(*arguments, asked=options(**given), **others)
+
+        for option in reversed(every):
+            gathered = _declared(option)(gathered)
+        return cast(Decorated, gathered)
+
+    return decorate
+
+
+def _declared(option: Option) -> Decorator:
+    stated, name = option.stated, option.name
+    flags = stated.flags or (f"--{name.replace('_', '-')}",)
+    shown: dict[str, Any] = {"help": stated.help, "metavar": stated.metavar}
+    if option.kind == "bool":
+        return click.option(*flags, name, is_flag=True, help=stated.help)
+    if option.default not in (None, ()):
+        shown |= {"default": option.default, "show_default": True}
+    if option.kind in ("numbers", "words"):
+        shown |= {"nargs": stated.count} if option.kind == "numbers" else {"multiple": True}
+    return click.option(*flags, name, type=_type_of(option), **shown)
+
+
+def _type_of(option: Option) -> click.ParamType:
+    stated = option.stated
+    if option.kind == "Path":
+        return PATH
+    if stated.choices:
+        return click.Choice(stated.choices)
+    if option.kind == "int" and stated.word:
+        return IntOrWord(int(stated.low), int(stated.high), stated.word)
+    if option.kind == "int":
+        return click.IntRange(int(stated.low), int(stated.high))
+    return Number(max(stated.low, stated.above), stated.high, open_low=stated.above > stated.low)
 
 
 def _region(context: click.Context, parameter: click.Parameter, text: str | None) -> tuple[int, int, int, int] | None:

@@ -67,9 +67,9 @@ def command(
         if views is not None and options.is_given(click.get_current_context(), name):
             raise InputError(f"--{name}: is for --path; --views says already where from")
     with claimed(out, overwrite, [reconstruction, *([views] if views else [])]):
-        from pixelid.nerf.saved import SavedReconstruction
         from pixelid.nerf.shown.figures import write_figures
         from pixelid.nerf.shown.render import Wanted, render
+        from pixelid.nerf.shown.saved import SavedReconstruction
         from pixelid.nerf.shown.ways import around, way_of_file
         from pixelid.report.html import write_report
 

@@ -17,12 +17,12 @@ import numpy as np
 
 from pixelid.model.model import Model
 from pixelid.model.shipped import find_model
-from pixelid.nerf import calibration as layout
-from pixelid.nerf.camera import Camera, pinhole
-from pixelid.nerf.dataset import EVENTS, write_poses
-from pixelid.nerf.scenes import FIELD_OF_VIEW, procedural, random_views, spiral
-from pixelid.nerf.trajectory import Trajectory
-from pixelid.nerf.views import FOLDER, OPENGL, RENDERER
+from pixelid.nerf.data import calibration as layout
+from pixelid.nerf.data.camera import Camera, pinhole
+from pixelid.nerf.data.dataset import EVENTS, write_poses
+from pixelid.nerf.data.scenes import FIELD_OF_VIEW, procedural, random_views, spiral
+from pixelid.nerf.data.trajectory import Trajectory
+from pixelid.nerf.data.views import FOLDER, OPENGL, RENDERER
 from pixelid.outputs import whole_folder
 from pixelid.parameters.invariants import Physical
 from pixelid.simulate import simulate_stream
@@ -155,33 +155,25 @@ def write_views(folder: Path, scene: Renders, camera: Camera, seed: int) -> None
 
 
 def main() -> None:
-    """`python -m pixelid.nerf.synthetic SETTING OUT [--seed N] [--side N] [--images NPZ]`: write a dataset."""
+    """`python -m pixelid.nerf.synthetic SETTING OUT [--seed N] [--side N]`: write a dataset."""
     import argparse
 
-    parser = argparse.ArgumentParser(description="Write a dataset of a procedural or a photographed scene.")
+    parser = argparse.ArgumentParser(description="Write a dataset of a procedural scene.")
     parser.add_argument("setting", choices=list(SETTINGS))
     parser.add_argument("out", type=Path)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--side", type=int, default=64)
-    parser.add_argument("--images", type=Path, help="film a scene fitted to posed pictures (npz: images, poses, focal)")
     parser.add_argument("--overwrite", action="store_true")
     parser.add_argument("--quiet", action="store_true", help="no progress")
     options = parser.parse_args()
-    report = _progress_lines(options.quiet)
     make_dataset(
-        options.out, options.setting, seed=options.seed, side=options.side, overwrite=options.overwrite,
-        scene=None if options.images is None else _photographed(options.images, options.seed, report), progress=report,
-    )  # fmt: skip
-
-
-def _photographed(images: Path, seed: int, report: Callable[[str, float], None]) -> Renders:
-    """The scene fitted to posed pictures."""
-    from pixelid.nerf.arrays import read_arrays
-    from pixelid.nerf.posed import scene_of_images
-
-    report("fitting the scene", 0.0)
-    posed = read_arrays(images, ("images", "poses", "focal"))
-    return scene_of_images(posed["images"], posed["poses"], float(posed["focal"]), seed=seed)
+        options.out,
+        options.setting,
+        seed=options.seed,
+        side=options.side,
+        overwrite=options.overwrite,
+        progress=_progress_lines(options.quiet),
+    )
 
 
 def _progress_lines(quiet: bool) -> Callable[[str, float], None]:

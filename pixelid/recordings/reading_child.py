@@ -29,7 +29,7 @@ READERS = {  # name → module with the function `opened`, which finds the colum
 }
 FUNCTIONS = {  # name → module with a generator of that name: (path, arguments) → arrays by name
     "picture": "pixelid.recordings.pictures", "video": "pixelid.recordings.pictures",
-    "event_blocks": "pixelid.nerf.published.hdf5_events",
+    "event_blocks": "pixelid.nerf.data.published.hdf5_events",
 }  # fmt: skip
 LIBRARIES = {  # what readers import; that takes a second, which is none of a file's
     "decoded": ("faery.extension", "faery.file_decoder"), "frames": ("faery.extension",),

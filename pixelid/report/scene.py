@@ -9,7 +9,7 @@ from typing import Any
 
 from pixelid.documents import is_number
 from pixelid.figures.words import in_words
-from pixelid.nerf.limits import LEAST_SHARE
+from pixelid.nerf.options import LEAST_SHARE
 from pixelid.report.format import count, counted, number, percent, seconds
 from pixelid.report.page import Number, Result, Summary, command_line, folder_name
 from pixelid.report.scripts import script

@@ -25,6 +25,7 @@ MAY_IMPORT = {
     "status": set(),
     "time_units": set(),
     "results": {"documents", "errors", "outputs", "status"},
+    "options": {"errors"},
     "public": {"errors"},
     "parallel": {"errors"},
     "parameters": BASE,
@@ -38,6 +39,7 @@ MAY_IMPORT["inputs"] = BASE | {"model", "recordings", "stimuli"}
 MAY_IMPORT["compilation"] = set()  # everything else is imported when a function is called
 for face in ("api", "api_analyses", "api_recordings"):
     MAY_IMPORT[face] = BASE | {"public"}  # everything else is imported when a function is called
+MAY_IMPORT["api_analyses"] |= {"options", "nerf"}  # options are data; no code of the analysis comes with them
 MAY_IMPORT["biases"] = {"documents", "errors", "statistics"}
 MAY_IMPORT["inspection"] = BASE | {"biases", "recordings", "stimuli"}
 MAY_IMPORT["simulate"] = MAY_IMPORT["likelihood"] = set(MAY_IMPORT) - {"inspection"}
@@ -52,7 +54,7 @@ MAY_IMPORT["gap"] = MAY_IMPORT["fit"] | {"fit", "design", "inspection"}
 MAY_IMPORT["conform"] = MAY_IMPORT["gap"] | {"gap"}  # the gap's verdict, effect by effect
 MAY_IMPORT["bench"] = MAY_IMPORT["gap"] | {"gap"}  # from raw recordings to a checked model
 MAY_IMPORT["export"] = BASE | {"model", "parameters", "stages", "tables"}  # rates of noise
-MAY_IMPORT["nerf"] = MAY_IMPORT["fit"] | {"inspection", "sensors"}  # nothing but report, demo and cli uses it
+MAY_IMPORT["nerf"] = MAY_IMPORT["fit"] | {"inspection", "options", "sensors"}  # report, demo, cli, face use it
 MAY_IMPORT["report"] = set(MAY_IMPORT)
 MAY_IMPORT["demo"] = set(MAY_IMPORT)
 MAY_IMPORT["cli"] = set(MAY_IMPORT)

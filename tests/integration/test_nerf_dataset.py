@@ -14,20 +14,21 @@ from pixelid.cli.main import main
 from pixelid.errors import InputError
 from pixelid.model.files import save_model
 from pixelid.model.shipped import find_model
-from pixelid.nerf.calibration import CIRCUIT, of_fit, uncertainty_of_fit, unexplained_by
-from pixelid.nerf.dataset import evaluation_views, read_dataset
-from pixelid.nerf.field import Field
-from pixelid.nerf.gauge import Gauge, gauge_of, scene_box
-from pixelid.nerf.pixel import Bandwidth
-from pixelid.nerf.problem import problem_of
-from pixelid.nerf.published.convert import Conversion
-from pixelid.nerf.recipe import Recipe
-from pixelid.nerf.scenes import BACKGROUND
-from pixelid.nerf.state import start
+from pixelid.nerf.data.calibration import CIRCUIT, of_fit, uncertainty_of_fit, unexplained_by
+from pixelid.nerf.data.dataset import evaluation_views, read_dataset
+from pixelid.nerf.data.published.convert import Conversion
+from pixelid.nerf.data.scenes import BACKGROUND
+from pixelid.nerf.data.trajectory import Trajectory
+from pixelid.nerf.data.views import _peak_and_span
+from pixelid.nerf.events.gauge import Gauge, gauge_of, scene_box
+from pixelid.nerf.field.radiance import Field
+from pixelid.nerf.options import Options
+from pixelid.nerf.pixel.model import Bandwidth
 from pixelid.nerf.synthetic import SETTINGS, camera_model
-from pixelid.nerf.train import EPSILON, _off_level
-from pixelid.nerf.trajectory import Trajectory
-from pixelid.nerf.views import _peak_and_span
+from pixelid.nerf.training.problem import problem_of
+from pixelid.nerf.training.recipe import Recipe
+from pixelid.nerf.training.state import start
+from pixelid.nerf.training.train import EPSILON, _off_level
 
 
 @pytest.fixture
@@ -213,7 +214,7 @@ def test_every_colour_has_its_level(made, colours):
         for stage, each in data.views.items()
     }
     calibration = replace(data.calibration, bayer=bayer, dark=np.zeros(colours))
-    problem = problem_of(replace(data, views=views, calibration=calibration), scale="level")
+    problem = problem_of(replace(data, views=views, calibration=calibration), options=Options(scale="level"))
     state = start(problem, Recipe(vertices=(9,)), Bandwidth("on"))
     for factors in ([1.0] * colours, [4.0, 1.0, 0.25][:colours]):
         field = Field(problem.low, problem.high, 9, colours, (0.5 * np.array(factors)).tolist())

@@ -12,16 +12,16 @@ from test_schemas import check
 
 from pixelid.cli.main import main
 from pixelid.model.shipped import find_model
-from pixelid.nerf import checkpoint
-from pixelid.nerf.calibration import Calibration, in_unit
-from pixelid.nerf.dataset import Dataset, read_dataset
-from pixelid.nerf.pixel import Bandwidth
-from pixelid.nerf.problem import Problem, problem_of
-from pixelid.nerf.recipe import Recipe
-from pixelid.nerf.residuals import Rows
-from pixelid.nerf.search import HELD_OUT, Found, _Bench, _map, _Place, search
-from pixelid.nerf.state import start
+from pixelid.nerf.data.calibration import Calibration, in_unit
+from pixelid.nerf.data.dataset import Dataset, read_dataset
+from pixelid.nerf.effects.search import HELD_OUT, Found, _Bench, _map, _Place, search
+from pixelid.nerf.pixel.model import Bandwidth
 from pixelid.nerf.synthetic import SETTINGS, camera_model, make_dataset
+from pixelid.nerf.training import checkpoint
+from pixelid.nerf.training.problem import Problem, problem_of
+from pixelid.nerf.training.recipe import Recipe
+from pixelid.nerf.training.residuals import Rows
+from pixelid.nerf.training.state import start
 
 
 @pytest.fixture(scope="module")

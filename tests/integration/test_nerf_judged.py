@@ -14,20 +14,20 @@ from test_schemas import check
 import pixelid as px
 from pixelid.cli.main import main
 from pixelid.errors import InputError
-from pixelid.nerf import checkpoint, field, judged
-from pixelid.nerf import train as training
-from pixelid.nerf.dataset import read_dataset
-from pixelid.nerf.judged import keep_best, train_judged
-from pixelid.nerf.pixel import Bandwidth
-from pixelid.nerf.problem import problem_of
-from pixelid.nerf.recipe import Recipe
+from pixelid.nerf.data.dataset import read_dataset
+from pixelid.nerf.field import radiance as field
+from pixelid.nerf.pixel.model import Bandwidth
 from pixelid.nerf.reconstruct import reconstruct
-from pixelid.nerf.regularisation import FACTORS
-from pixelid.nerf.state import State, start
-from pixelid.nerf.stopping import LOOKS
-from pixelid.nerf.train import held_out_residual
+from pixelid.nerf.training import checkpoint, judged
+from pixelid.nerf.training import train as training
+from pixelid.nerf.training.held_out import FACTORS, LOOKS
+from pixelid.nerf.training.judged import keep_best, train_judged
+from pixelid.nerf.training.problem import problem_of
+from pixelid.nerf.training.recipe import Recipe
+from pixelid.nerf.training.state import State, start
+from pixelid.nerf.training.train import held_out_residual
 
-RECIPE = Recipe(iterations=96, batch=32, vertices=(9, 17), density_roughness=1e-3)
+RECIPE = Recipe(iterations=96, batch=32, vertices=(9, 17))
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +74,7 @@ def test_a_run_that_is_continued_comes_to_the_same_choices(problem, tmp_path, un
 
 
 def test_looking_changes_no_step(problem):
-    from pixelid.nerf.train import train
+    from pixelid.nerf.training.train import train
 
     judged = trained(problem, RECIPE)
     plain = train(problem, RECIPE, start(problem, RECIPE, Bandwidth("off")))
@@ -84,9 +84,9 @@ def test_looking_changes_no_step(problem):
 
 def test_the_factor_scales_both_variations(problem):
     """A step under a factor is the step of a recipe whose weights are as many times larger."""
-    from pixelid.nerf.train import step
+    from pixelid.nerf.training.train import step
 
-    scaled = replace(RECIPE, roughness=3 * RECIPE.roughness, density_roughness=3 * RECIPE.density_roughness)
+    scaled = replace(RECIPE, roughness=3 * RECIPE.roughness)
     states = [start(problem, recipe, Bandwidth("off")) for recipe in (RECIPE, scaled, RECIPE)]
     states[0].regularisation = replace(states[0].regularisation, factor=3.0)
     for _ in range(3):
@@ -177,12 +177,15 @@ import sys
 from dataclasses import replace
 import numpy as np
 import pixelid as px
-from pixelid.nerf import judged, parallel, search
+from pixelid.nerf.effects import search
+from pixelid.nerf.training import judged, parallel
 
 # rounding, and more: processes that each decided by themselves would part
 plain, suggestions = judged.loss_of_pixels, search.suggestions
 judged.loss_of_pixels = lambda rows: plain(rows) * (1.0 + 1e-3 * parallel.rank())
-search.SEARCHED, search.MOST_ROUNDS = ("leak",), 1
+search.MOST_ROUNDS = 1
+for name, addition in search.ADDITIONS.items():
+    search.ADDITIONS[name] = addition._replace(searched=name == "leak")
 gains = [search.Gain(-0.1 * parallel.rank(), 1.0, 99)] * 5 + [search.Gain(0.5, 1e-9, 99)] * (parallel.rank() == 0)
 search.compare = lambda before, after: gains.pop()  # the first process names the leak, and the other nothing
 
@@ -194,7 +197,7 @@ search.suggestions = apart
 found = px.reconstruct(sys.argv[1], iterations=24, regularisation="auto", gap=True, device="cpu")
 state = found.state
 looks = [look.losses for look in state.stopping.looks]
-trials = [(trial.loss, trial.gain, trial.p_value) for trial in state.regularisation.trials]
+trials = [(trial.loss, trial.heldout_gain, trial.p_value) for trial in state.regularisation.trials]
 effects = [value for effect in found.gap["effects"] for value in effect["values"].values()]
 np.savez(f"{sys.argv[2]}/{parallel.rank()}.npz", looks=looks, trials=trials, effects=effects,
          gap=found.gap["heldout_gain"], grid=state.field.grid.detach().numpy())

@@ -13,13 +13,13 @@ from scipy.spatial.transform import Rotation
 
 from pixelid.cli.main import main
 from pixelid.errors import InputError
-from pixelid.nerf.camera import Camera
-from pixelid.nerf.dataset import read_dataset
-from pixelid.nerf.published import esim, esim_flags, tumvie
-from pixelid.nerf.published.undistort import pinhole_of, undistorted
-from pixelid.nerf.scenes import procedural
+from pixelid.nerf.data.camera import Camera
+from pixelid.nerf.data.dataset import read_dataset
+from pixelid.nerf.data.published import esim, esim_flags, tumvie
+from pixelid.nerf.data.published.undistort import pinhole_of, undistorted
+from pixelid.nerf.data.scenes import procedural
+from pixelid.nerf.data.trajectory import Trajectory
 from pixelid.nerf.synthetic import SETTINGS
-from pixelid.nerf.trajectory import Trajectory
 from pixelid.stages.photoreceptor import NOMINAL
 
 EPOCH_NS = 1_600_000_000_000_000_000
@@ -499,8 +499,8 @@ def never_read(begin: int, end: int):
     ],
 )
 def test_views_are_refused_before_events_are_read(wrong, views, says, tmp_path, monkeypatch):
-    from pixelid.nerf.published import convert
-    from pixelid.nerf.published.source import Pictures, Poses, Source
+    from pixelid.nerf.data.published import convert
+    from pixelid.nerf.data.published.source import Pictures, Poses, Source
 
     K = np.array([[8.0, 0, 3.5], [0, 8, 3.5], [0, 0, 1]])
     lens = np.array([500.0, 0, 0, 0]) if wrong == "lens" else np.empty(0)
@@ -582,7 +582,7 @@ def test_pictures_lose_the_distortion_of_their_lens(model, lens):
 
 @pytest.mark.parametrize("row", [1, 3, 4, 8, 9])
 def test_times_out_of_order_are_found_in_every_block_and_between_blocks(row, tmp_path, monkeypatch):
-    from pixelid.nerf.published import hdf5_events
+    from pixelid.nerf.data.published import hdf5_events
 
     monkeypatch.setattr(hdf5_events, "BLOCK", 4)
     t = np.repeat(np.arange(5, dtype=np.uint64), 2) + 10**6  # equal times are in order
@@ -606,7 +606,7 @@ def test_times_out_of_order_are_found_in_every_block_and_between_blocks(row, tmp
 ])  # fmt: skip
 def test_an_event_out_of_order_outside_the_time_asked_for_is_no_matter(row, stamp, refused, tmp_path, monkeypatch):
     """Rows 60 … 140 of 200 are asked for; wherever bisection looks, it finds them."""
-    from pixelid.nerf.published import hdf5_events
+    from pixelid.nerf.data.published import hdf5_events
 
     monkeypatch.setattr(hdf5_events, "BLOCK", 16)
     monkeypatch.setattr(hdf5_events, "PROBE", 8)
@@ -631,8 +631,8 @@ def peak_bytes_of_events(folder: Path, copies: int, truth, monkeypatch) -> int:
     """Most memory that Python holds while so many copies of the events go through, after their first block."""
     import tracemalloc
 
-    from pixelid.nerf.published import hdf5_events
-    from pixelid.nerf.published.convert import convert
+    from pixelid.nerf.data.published import hdf5_events
+    from pixelid.nerf.data.published.convert import convert
 
     monkeypatch.setattr(hdf5_events, "BLOCK", 4096)
     order = np.repeat(np.arange(len(truth["timestamp"])), copies)
@@ -663,7 +663,7 @@ def test_memory_does_not_grow_with_the_sequence(truth, tmp_path, monkeypatch):
 
 
 def test_an_event_takes_at_most_sixty_bytes_in_training(made):
-    from pixelid.nerf.problem import problem_of
+    from pixelid.nerf.training.problem import problem_of
 
     data = read_dataset(made)
     problem = problem_of(data)

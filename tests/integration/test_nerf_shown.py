@@ -14,17 +14,17 @@ from test_schemas import check
 import pixelid as px
 from pixelid.cli.main import main
 from pixelid.errors import InputError
-from pixelid.nerf.camera import pinhole
-from pixelid.nerf.dataset import write_poses
-from pixelid.nerf.evaluate import render_views
-from pixelid.nerf.field import Field
-from pixelid.nerf.harmonics import harmonics
-from pixelid.nerf.saved import SavedReconstruction, write_field
+from pixelid.nerf.data.camera import pinhole
+from pixelid.nerf.data.dataset import write_poses
+from pixelid.nerf.data.views import Views, read_views
+from pixelid.nerf.field.harmonics import harmonics
+from pixelid.nerf.field.radiance import Field
+from pixelid.nerf.shown.evaluate import render_views
 from pixelid.nerf.shown.render import Wanted, render
+from pixelid.nerf.shown.saved import SavedReconstruction, write_field
 from pixelid.nerf.shown.solid import depth_of, mesh_of
 from pixelid.nerf.shown.splats import splats_of
 from pixelid.nerf.shown.ways import around, way_of_file
-from pixelid.nerf.views import Views, read_views
 
 RADIUS, CENTRE, CELLS = 0.6, np.array([0.2, -0.1, 0.0]), 32
 CORRECTION = {"a": 0.8, "b": 0.9, "c": 0.01}
@@ -145,7 +145,7 @@ def test_stated_intrinsics_are_of_the_pictures_whatever_the_size(tmp_path):
 
 def test_poses_are_seen_by_the_camera_beside_them(folder, tmp_path, capsys):
     """A data set without pictures: its event camera, whose angle --fov does not change."""
-    from pixelid.nerf.trajectory import Trajectory
+    from pixelid.nerf.data.trajectory import Trajectory
 
     data, matrix = tmp_path / "data", np.array([[50.0, 0.0, 30.0], [0.0, 51.0, 20.0], [0.0, 0.0, 1.0]])
     data.mkdir()

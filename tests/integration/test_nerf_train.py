@@ -26,21 +26,24 @@ from pixelid.cli.main import main
 from pixelid.errors import InputError
 from pixelid.model.files import save_model
 from pixelid.model.shipped import find_model, shipped_models
-from pixelid.nerf import checkpoint
-from pixelid.nerf import field as fields
-from pixelid.nerf.calibration import FILE as CALIBRATION
-from pixelid.nerf.calibration import of_fit
-from pixelid.nerf.dataset import read_dataset
-from pixelid.nerf.evaluate import no_scores
-from pixelid.nerf.losses import Weights
-from pixelid.nerf.pixel import Bandwidth, limits_bandwidth
-from pixelid.nerf.poses import Refinement
-from pixelid.nerf.problem import problem_of
-from pixelid.nerf.recipe import Recipe
+from pixelid.nerf.data.calibration import FILE as CALIBRATION
+from pixelid.nerf.data.calibration import of_fit
+from pixelid.nerf.data.dataset import read_dataset
+from pixelid.nerf.field import radiance as fields
+from pixelid.nerf.field import render
+from pixelid.nerf.options import Options
+from pixelid.nerf.pixel import scan
+from pixelid.nerf.pixel.model import Bandwidth, limits_bandwidth
 from pixelid.nerf.reconstruct import Reconstruction, _left_open, _verdict, reconstruct
-from pixelid.nerf.state import State, start
+from pixelid.nerf.shown.evaluate import no_scores
 from pixelid.nerf.synthetic import SETTINGS, make_dataset
-from pixelid.nerf.train import held_out_residual, step, train
+from pixelid.nerf.training import checkpoint
+from pixelid.nerf.training.losses import Weights
+from pixelid.nerf.training.poses import Refinement
+from pixelid.nerf.training.problem import problem_of
+from pixelid.nerf.training.recipe import Recipe
+from pixelid.nerf.training.state import State, start
+from pixelid.nerf.training.train import held_out_residual, step, train
 from pixelid.sensors import SensorFit
 from pixelid.sensors.map import Map
 from pixelid.sensors.shrinkage import Population
@@ -280,7 +283,7 @@ def test_a_checkpoint_of_another_run_or_a_damaged_one_is_set_aside(made, tmp_pat
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_tensors_train_as_the_compiled_engine_does(made, seed):
+def test_tensors_train_as_the_compiled_engine_does(made, seed, monkeypatch):
     """The torch path, which CUDA runs, follows the compiled one through all losses that are smooth.
 
     Absolute changes are not: where a level stays where it is within rounding, rounding decides their sign, and Adam
@@ -288,8 +291,10 @@ def test_tensors_train_as_the_compiled_engine_does(made, seed):
     """
     problem = problem_of(read_dataset(made))
     states = []
-    for engine in ("compiled", "tensors"):
-        recipe = replace(SMALL, iterations=4, engine=engine, seed=seed, weights=Weights(tv=0.0), roughness=0.0, quiet=0)
+    recipe = replace(SMALL, iterations=4, seed=seed, weights=Weights(tv=0.0), roughness=0.0, quiet=0)
+    for tensors in (False, True):
+        for module in (render, scan):
+            monkeypatch.setattr(module, "by_tensors", lambda *_, answer=tensors: answer)
         states.append(train(problem, recipe, start(problem, recipe, Bandwidth("on", 10))))
     torch.testing.assert_close(states[0].field.grid, states[1].field.grid, rtol=1e-3, atol=1e-3)
 
@@ -374,9 +379,10 @@ def test_sharp_bright_events_are_reconstructed(tmp_path):
 @pytest.mark.slow
 def test_a_scene_of_posed_images_stands_for_the_truth(shared):
     """Fitted to some of the posed pictures, it shows the others."""
-    from pixelid.nerf.camera import Camera
-    from pixelid.nerf.posed import scene_of_images
-    from pixelid.nerf.views import LUMA, OPENGL
+    from posed import scene_of_images
+
+    from pixelid.nerf.data.camera import Camera
+    from pixelid.nerf.data.views import LUMA, OPENGL
 
     data = np.load(shared / "recordings" / "lego_views_100px.npz")
     images, poses, focal = data["images"], data["poses"], float(data["focal"])
@@ -442,7 +448,7 @@ def test_a_file_with_zero_capacitances_is_a_pixel_without_bandwidth_limit(made, 
     data = read_dataset(folder)
     assert not limits_bandwidth(data.calibration.circuit)
     psnr = [
-        reconstruct(data, bandwidth=Bandwidth(mode), recipe=SMALL, device="cpu").scores.psnr for mode in ("on", "off")
+        reconstruct(data, Options(bandwidth=mode, device="cpu"), recipe=SMALL).scores.psnr for mode in ("on", "off")
     ]
     assert np.isfinite(psnr).all()
     np.testing.assert_array_equal(psnr[0], psnr[1])
@@ -555,7 +561,7 @@ def test_a_pixel_alone_judges_nothing(made):
     mine = pixel == np.bincount(pixel).argmax()
     one = replace(data, t=data.t[mine], x=data.x[mine], y=data.y[mine], on=data.on[mine])
     with pytest.raises(InputError, match="held out"):
-        reconstruct(one, recipe=SMALL, gap=True)
+        reconstruct(one, Options(gap=True), recipe=SMALL)
     alone = reconstruct(one, recipe=replace(SMALL, iterations=2))
     assert alone.status is Status.not_identified
     assert "nothing was judged" in alone.advice
@@ -564,10 +570,10 @@ def test_a_pixel_alone_judges_nothing(made):
 def test_a_search_that_names_nothing_leaves_the_pixel_as_told(made):
     """Its own training is no prior: the scene is that of a run without a search."""
     data, told = read_dataset(made), Bandwidth("joint", 10, {"alpha": 0.05, "threshold": 0.05}, ("threshold",))
-    searched = reconstruct(data, bandwidth=told, recipe=SMALL, gap=True, device="cpu")
+    searched = reconstruct(data, Options(gap=True, device="cpu"), bandwidth=told, recipe=SMALL)
     assert searched.gap is not None
     assert searched.gap["effects"] == []
-    plain = reconstruct(data, bandwidth=told, recipe=SMALL, device="cpu")
+    plain = reconstruct(data, Options(device="cpu"), bandwidth=told, recipe=SMALL)
     assert searched.problem.circuit == plain.problem.circuit
     assert torch.equal(searched.state.pixel.factors, plain.state.pixel.factors)
     assert torch.equal(searched.state.field.grid, plain.state.field.grid)
@@ -606,14 +612,14 @@ def test_what_the_pixel_has_and_the_scene_ignores_is_said(made, tmp_path, capsys
 def test_a_preview_shows_the_scene_come_and_changes_no_number(made, tmp_path, views):
     data = read_dataset(made)
     data = data if views else replace(data, views={})
-    plain = reconstruct(data, recipe=SMALL, device="cpu")
+    plain = reconstruct(data, Options(device="cpu"), recipe=SMALL)
     seen = []
 
     def remember(what: str, share: float) -> None:
         if (tmp_path / "scene.png").is_file():
             seen.append(imread(tmp_path / "scene.png"))
 
-    watched = reconstruct(data, recipe=SMALL, device="cpu", preview=tmp_path / "scene.png", progress=remember)
+    watched = reconstruct(data, Options(device="cpu"), recipe=SMALL, preview=tmp_path / "scene.png", progress=remember)
     assert torch.equal(watched.state.field.grid, plain.state.field.grid)
     np.testing.assert_array_equal(watched.scores.psnr, plain.scores.psnr)
     last = imread(tmp_path / "scene.png")
@@ -636,7 +642,7 @@ def test_the_command_keeps_the_last_preview_in_its_folder(made, tmp_path):
 
 def test_another_picture_is_not_replaced_by_a_preview(made, tmp_path, capsys):
     """One that an interrupted run has left is."""
-    from pixelid.nerf.preview import _save, refuse_preview
+    from pixelid.nerf.shown.preview import _save, refuse_preview
 
     file = tmp_path / "out.preview.png"
     _save(file, np.linspace(0, 1, 60).reshape(5, 12, 1))
@@ -675,12 +681,12 @@ def test_the_function_takes_what_the_command_takes(made, tmp_path):
     assert asked.published is not None
     assert result["published_protocol"]["psnr"] == asked.published.means()["psnr"]
     assert result["views"]["psnr"] == asked.scores.means()["psnr"]
-    auto = Recipe.asked(steps="auto")
+    auto = Recipe.of(Options(iterations="auto"))
     assert (auto.iterations, auto.batch) == (0, 0)
-    assert Recipe.asked(steps="auto", batch=7).batch == 7
-    assert Recipe.asked() == Recipe()
-    counted: dict[str, Any] = {name: np.int64(9) for name in ("steps", "batch", "cells")}
-    assert repr(Recipe.asked(**counted)) == repr(Recipe.asked(steps=9, batch=9, cells=9))
+    assert Recipe.of(Options(iterations="auto", batch=7)).batch == 7
+    assert Recipe.of(Options()) == Recipe()
+    counted: dict[str, Any] = {name: np.int64(9) for name in ("iterations", "batch", "cells")}
+    assert repr(Recipe.of(Options(**counted))) == repr(Recipe.of(Options(iterations=9, batch=9, cells=9)))
     with pytest.raises(InputError, match="iterations: expected"):
         px.reconstruct(made, iterations=0)
     wrongs: tuple[dict[str, Any], ...] = (
@@ -728,7 +734,7 @@ def test_a_near_distance_is_trained_with_stored_and_rendered_with(made, tmp_path
 
 def test_an_unbounded_fine_scene_is_trained_in_bricks_and_resumed(made, tmp_path, monkeypatch):
     """Interrupted once bricks are given up, also far away; what is written shows what training came to."""
-    from pixelid.nerf import train as training
+    from pixelid.nerf.training import train as training
 
     for module in (fields, training):
         monkeypatch.setattr(module, "WHOLE", 9)

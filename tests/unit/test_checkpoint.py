@@ -10,9 +10,8 @@ import pytest
 import torch
 
 from pixelid.errors import OutputError
-from pixelid.nerf import checkpoint
-from pixelid.nerf.regularisation import Regularisation
-from pixelid.nerf.stopping import Stopping
+from pixelid.nerf.training import checkpoint
+from pixelid.nerf.training.held_out import Regularisation, Stopping
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ from pixelid.export.light import Light
 from pixelid.export.noise_rates import NoiseRates
 from pixelid.model.files import save_model
 from pixelid.model.shipped import find_model, shipped_models
-from pixelid.nerf.calibration import CIRCUIT, COMPARATOR
+from pixelid.nerf.data.calibration import CIRCUIT, COMPARATOR
 from pixelid.parameters.gauge import Gauge
 from pixelid.tables.latency.camera import Camera, save_camera
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from pixelid.nerf import scan_adjoint
+from pixelid.nerf.pixel import scan_adjoint
 
 TINY = 1e-30
 

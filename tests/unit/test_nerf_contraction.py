@@ -5,13 +5,12 @@ import pytest
 import torch
 from test_nerf_render import assert_slopes_of_rays, random_rays, rays_from_inside
 
-from pixelid.nerf import contraction
-from pixelid.nerf import field as fields
-from pixelid.nerf.bricks import Bricks
-from pixelid.nerf.field import Field, blocks
-from pixelid.nerf.harmonics import number_of
-from pixelid.nerf.render import Box, Rays, render
-from pixelid.nerf.saved import read_field, write_field
+from pixelid.nerf.field import radiance as fields
+from pixelid.nerf.field.bricks import Bricks
+from pixelid.nerf.field.harmonics import number_of
+from pixelid.nerf.field.radiance import Field, blocks, contraction
+from pixelid.nerf.field.render import Box, Rays, render
+from pixelid.nerf.shown.saved import read_field, write_field
 
 LOW, HIGH = np.array([-1.0, -1.5, -1.0]), np.array([1.0, 0.5, 1.5])
 MIDDLE, HALF = 0.5 * (LOW + HIGH), 0.5 * (HIGH - LOW)

@@ -9,22 +9,23 @@ import numpy as np
 import pytest
 import torch
 
-from pixelid.nerf import checkpoint
-from pixelid.nerf import field as fields
-from pixelid.nerf.dataset import read_dataset
-from pixelid.nerf.evaluate import render_views
-from pixelid.nerf.losses import Weights
-from pixelid.nerf.pixel import Bandwidth
-from pixelid.nerf.poses import Refinement
-from pixelid.nerf.problem import problem_of
-from pixelid.nerf.recipe import Recipe
+from pixelid.nerf.data.dataset import read_dataset
+from pixelid.nerf.field import radiance as fields
+from pixelid.nerf.field.smoothness import mean_log_density, mean_square, variation
+from pixelid.nerf.options import Options
+from pixelid.nerf.pixel.model import Bandwidth
+from pixelid.nerf.pixel.scan import respond
 from pixelid.nerf.reconstruct import reconstruct
-from pixelid.nerf.saved import SavedReconstruction
-from pixelid.nerf.scan import respond
-from pixelid.nerf.smoothness import mean_log_density, mean_square, variation
-from pixelid.nerf.state import start
+from pixelid.nerf.shown.evaluate import render_views
+from pixelid.nerf.shown.saved import SavedReconstruction
 from pixelid.nerf.synthetic import make_dataset
-from pixelid.nerf.train import train
+from pixelid.nerf.training import checkpoint
+from pixelid.nerf.training.losses import Weights
+from pixelid.nerf.training.poses import Refinement
+from pixelid.nerf.training.problem import problem_of
+from pixelid.nerf.training.recipe import Recipe
+from pixelid.nerf.training.state import start
+from pixelid.nerf.training.train import train
 from tests.unit.test_nerf_bricks import ball
 from tests.unit.test_nerf_pixel import FLOOR, FULL, HARD, runs, tensor
 from tests.unit.test_nerf_render import shown_with_gradients
@@ -69,7 +70,7 @@ def test_what_holds_a_field_smooth_is_the_same():
     for device in DEVICES:
         field = ball(29).to(device)
         parts = (
-            *variation(field.grid, field.bricks), mean_log_density(field.grid, field.bricks),
+            variation(field.grid, field.bricks), mean_log_density(field.grid, field.bricks),
             mean_square(field.coefficients, field.bricks),
         )  # fmt: skip
         torch.stack(parts).sum().backward()
@@ -114,8 +115,8 @@ def test_a_fine_field_with_all_that_can_be_trained_is_saved_and_continued(made, 
 
 @pytest.mark.parametrize("gap", [False, True])
 def test_a_scene_is_reconstructed_and_opened_without_it(made, tmp_path, gap):
-    result = reconstruct(made, recipe=replace(SMALL, iterations=200), protocol="paper", gap=gap, device="cuda")
-    assert result.device == "cuda"
+    result = reconstruct(made, Options(protocol="paper", gap=gap, device="cuda"), recipe=replace(SMALL, iterations=200))
+    assert result.content["device"] == "cuda"
     assert np.isfinite(result.scores.psnr).all()
     result.save(tmp_path / "out")
     saved = SavedReconstruction.load(tmp_path / "out")

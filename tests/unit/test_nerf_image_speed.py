@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pixelid.nerf.camera import pinhole
-from pixelid.nerf.image_speed import CLOSEST, crossing_times
-from pixelid.nerf.intervals import intervals
-from pixelid.nerf.scenes import FIELD_OF_VIEW, spiral
-from pixelid.nerf.stretches import stretches
-from pixelid.nerf.trajectory import Trajectory
+from pixelid.nerf.data.camera import pinhole
+from pixelid.nerf.data.scenes import FIELD_OF_VIEW, spiral
+from pixelid.nerf.data.trajectory import Trajectory
+from pixelid.nerf.events.image_speed import CLOSEST, crossing_times
+from pixelid.nerf.events.intervals import intervals
+from pixelid.nerf.events.stretches import stretches
 
 CAMERA = pinhole(33, 33, FIELD_OF_VIEW)
 FOCAL, MIDDLE = float(CAMERA.intrinsics[0, 0]), 16 * 33 + 16

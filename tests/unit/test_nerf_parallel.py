@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from pixelid.nerf import parallel
-from pixelid.nerf.checkpoint import run_identity
-from pixelid.nerf.pixel import Bandwidth
-from pixelid.nerf.recipe import Recipe
+from pixelid.nerf.pixel.model import Bandwidth
+from pixelid.nerf.training import parallel
+from pixelid.nerf.training.checkpoint import run_identity
+from pixelid.nerf.training.recipe import Recipe
 from tests.unit.test_nerf_search import CIRCUIT
 
 

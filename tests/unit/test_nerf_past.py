@@ -7,12 +7,12 @@ import pytest
 import torch
 
 from pixelid.model.shipped import find_model
-from pixelid.nerf.calibration import in_unit
-from pixelid.nerf.intervals import CHAIN, chains, intervals, own_past, rows_of
-from pixelid.nerf.losses import changes
-from pixelid.nerf.past import FEWEST, past_of
-from pixelid.nerf.pixel import Bandwidth, Pixel
-from pixelid.nerf.scan import respond
+from pixelid.nerf.data.calibration import in_unit
+from pixelid.nerf.events.intervals import CHAIN, chains, intervals, own_past, rows_of
+from pixelid.nerf.pixel.model import Bandwidth, Pixel
+from pixelid.nerf.pixel.past import FEWEST, past_of
+from pixelid.nerf.pixel.scan import respond
+from pixelid.nerf.training.losses import changes
 
 DARK = 0.002
 BRIGHT = Pixel(in_unit(find_model("dvs128").circuit(), 2_000.0), Bandwidth())  # fA at white

@@ -8,9 +8,9 @@ import torch
 from oracles.output_weights import output_weights
 
 from pixelid.dynamics.trajectory import Dynamics, integrate
-from pixelid.nerf.intervals import CHAIN, chains, intervals
-from pixelid.nerf.losses import changes, terms
-from pixelid.nerf.scan import respond
+from pixelid.nerf.events.intervals import CHAIN, chains, intervals
+from pixelid.nerf.pixel.scan import respond
+from pixelid.nerf.training.losses import changes, terms
 
 HARD = Dynamics(alpha=61287.0 * 20, beta=1851.0, gamma=1.1236 * 20, follower=19616.1, differencing=100531.0)
 FULL = HARD._replace(extra_pole=5000.0, lower_cutoff=3.0)

@@ -8,11 +8,11 @@ import torch
 
 from pixelid.errors import InputError
 from pixelid.model.shipped import find_model
-from pixelid.nerf.camera import pinhole
-from pixelid.nerf.intervals import chains, intervals
-from pixelid.nerf.losses import changes, terms, variance_left
-from pixelid.nerf.pixel import Bandwidth, Pixel
-from pixelid.nerf.pixel_maps import PixelMaps, find_hot, maps_of_circuit, maps_of_sensor
+from pixelid.nerf.data.camera import pinhole
+from pixelid.nerf.events.intervals import chains, intervals
+from pixelid.nerf.pixel.maps import PixelMaps, find_hot, maps_of_circuit, maps_of_sensor
+from pixelid.nerf.pixel.model import Bandwidth, Pixel
+from pixelid.nerf.training.losses import changes, terms, variance_left
 from pixelid.sensors import SensorFit
 from pixelid.sensors.map import Map
 from pixelid.sensors.shrinkage import Population

@@ -8,11 +8,11 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from pixelid.nerf.dataset import _poses as read_poses
-from pixelid.nerf.dataset import write_poses
-from pixelid.nerf.poses import Poses, Refinement
-from pixelid.nerf.scenes import spiral
-from pixelid.nerf.trajectory import Trajectory
+from pixelid.nerf.data.dataset import _poses as read_poses
+from pixelid.nerf.data.dataset import write_poses
+from pixelid.nerf.data.scenes import spiral
+from pixelid.nerf.data.trajectory import Trajectory
+from pixelid.nerf.training.poses import Poses, Refinement
 
 TRAJECTORY = spiral(2.0, 3)
 BOTH = Refinement(5e-3, 0.05, math.radians(1.0), knots=9)

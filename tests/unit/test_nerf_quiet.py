@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 import torch
 
-from pixelid.nerf.dataset import read_dataset
-from pixelid.nerf.losses import STILL, quiet_change
-from pixelid.nerf.pixel import Bandwidth
-from pixelid.nerf.predict import draw_quiet
-from pixelid.nerf.problem import problem_of
-from pixelid.nerf.quiet import draw_pairs, quiet_intervals
-from pixelid.nerf.recipe import Recipe
-from pixelid.nerf.state import start
+from pixelid.nerf.data.dataset import read_dataset
+from pixelid.nerf.events.quiet import draw_pairs, quiet_intervals
+from pixelid.nerf.pixel.model import Bandwidth
 from pixelid.nerf.synthetic import make_dataset
-from pixelid.nerf.train import step
+from pixelid.nerf.training.losses import STILL, quiet_change
+from pixelid.nerf.training.predict import draw_quiet
+from pixelid.nerf.training.problem import problem_of
+from pixelid.nerf.training.recipe import Recipe
+from pixelid.nerf.training.state import start
+from pixelid.nerf.training.train import step
 
 WIDTH, HEIGHT = 5, 4
 
@@ -34,7 +34,7 @@ def by_hand(t, pixel, least, dead, left_out):
 @pytest.mark.parametrize("dead", [0.0, 0.01])
 @pytest.mark.parametrize("at_once", [1, 7, 10**6])
 def test_quiet_intervals_are_those_between_events_and_ends_of_the_recording(left_out, dead, at_once, monkeypatch):
-    monkeypatch.setattr("pixelid.nerf.quiet.EVENTS_AT_ONCE", at_once)
+    monkeypatch.setattr("pixelid.nerf.events.quiet.EVENTS_AT_ONCE", at_once)
     rng = np.random.default_rng(0)
     t, pixel = np.sort(rng.uniform(0.2, 1.3, 30)), rng.integers(0, WIDTH * HEIGHT, 30)
     quiet = quiet_intervals(t, pixel, WIDTH, HEIGHT, least=0.05, dead=dead, left_out=left_out)
@@ -115,7 +115,7 @@ def test_where_nothing_fires_haze_is_cleared(tmp_path):
 
 def _change(problem, state, pairs) -> float:
     """Mean change in thresholds between the ends of pairs."""
-    from pixelid.nerf.predict import draw, light
+    from pixelid.nerf.training.predict import draw, light
 
     rng = np.random.default_rng(2)
     with torch.no_grad():

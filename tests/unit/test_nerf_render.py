@@ -10,16 +10,15 @@ from scipy.spatial.transform import Rotation, Slerp
 from scipy.special import factorial, lpmv
 
 from pixelid.errors import InputError
-from pixelid.nerf import render_kernels
-from pixelid.nerf.bricks import Bricks
-from pixelid.nerf.camera import Camera, pinhole, refuse_lens_without_inverse
-from pixelid.nerf.correction import fit_correction
-from pixelid.nerf.field import Field, blocks
-from pixelid.nerf.harmonics import fill, harmonics, number_of
-from pixelid.nerf.render import Box, Rays, render
-from pixelid.nerf.scenes import procedural, random_views, spiral
-from pixelid.nerf.smoothness import EMPTIEST, mean_square, variation
-from pixelid.nerf.trajectory import Trajectory
+from pixelid.nerf.data.camera import Camera, pinhole, refuse_lens_without_inverse
+from pixelid.nerf.data.scenes import procedural, random_views, spiral
+from pixelid.nerf.data.trajectory import Trajectory
+from pixelid.nerf.field.bricks import Bricks
+from pixelid.nerf.field.harmonics import fill, harmonics, number_of
+from pixelid.nerf.field.radiance import Field, blocks, render_kernels
+from pixelid.nerf.field.render import Box, Rays, render
+from pixelid.nerf.field.smoothness import mean_square, variation
+from pixelid.nerf.shown.correction import fit_correction
 
 LOW, HIGH = np.full(3, -1.0), np.full(3, 1.0)
 
@@ -270,7 +269,7 @@ def test_strides_end_before_whatever_is_not_clear(vertices, share):
     for strides in (away, np.zeros_like(away)):
         radiance, opacity, none = np.empty(500, np.float32), np.empty(500, np.float32), np.empty(0, np.int64)
         render_kernels.forward(
-            *rays, densities, looks.numpy(), vertices, box.bricks.index, filled, strides, LOW, HIGH, False, 0.0, step,
+            *rays, densities, looks.numpy(), vertices, box.bricks.index, filled, strides, LOW, HIGH, None, 0.0, step,
             np.ones(1, np.float32), radiance, opacity, none, np.empty(0, np.int32), *[np.empty(0, np.float32)] * 2,
         )  # fmt: skip
         seen.append((radiance, opacity))
@@ -407,43 +406,36 @@ def test_both_forms_of_the_total_variation_agree_with_their_gradients(channels):
     rng = np.random.default_rng(0)
     values = rng.normal(size=(7, 7, 7, 1 + channels)).astype(np.float32)
     values[2, 3, :, 1] = 0.5  # neighbours alike: no slope
-    values[..., 0] *= 6.0  # log density on both sides of what is clear
-    assert 0.05 < (values[..., 0] < EMPTIEST).mean() < 0.5
     found, bricks = [], Bricks.every(7)
     for engine in ("compiled", "tensors"):
         grid = torch.tensor(values, requires_grad=True)
-        density, radiance = variation(bricks.gathered(grid), bricks, engine)
-        (2.0 * density + 3.0 * radiance).backward()
-        found.append((density.detach(), radiance.detach(), grid.grad))
+        radiance = variation(bricks.gathered(grid), bricks, engine)
+        (3.0 * radiance).backward()
+        found.append((radiance.detach(), grid.grad))
     for compiled, tensors in zip(*found, strict=True):
         torch.testing.assert_close(compiled, tensors)
-    shown = np.maximum(values[..., :1], EMPTIEST), values[..., 1:]
-    for total, of in zip(found[0], shown, strict=False):
-        by_hand = [np.abs(np.diff(of.astype(float), axis=axis)).mean() for axis in range(3)]
-        assert float(total) == pytest.approx(np.sum(by_hand), rel=1e-5)
-    without = variation(bricks.gathered(torch.tensor(values)), bricks, "compiled", density=False)
-    assert (float(without.density), float(without.radiance)) == (0.0, float(found[0][1]))
+    by_hand = [np.abs(np.diff(values[..., 1:].astype(float), axis=axis)).mean() for axis in range(3)]
+    assert float(found[0][0]) == pytest.approx(np.sum(by_hand), rel=1e-5)
 
 
-def test_slopes_of_the_variation_of_density_are_those_of_finite_differences():
-    """By a dense statement of its own in double precision; what is clear on both sides has none."""
+def test_slopes_of_the_variation_are_those_of_finite_differences():
+    """By a dense statement of its own in double precision; the density has none."""
     rng, n = np.random.default_rng(1), 5
     values = rng.normal(0.0, 5.0, size=(n, n, n, 2)).astype(np.float32)
 
-    def by_hand(density: np.ndarray) -> float:
-        shown = np.maximum(density, EMPTIEST)
-        return sum(np.abs(np.diff(shown, axis=axis)).mean() for axis in range(3))
+    def by_hand(log_radiance: np.ndarray) -> float:
+        return sum(np.abs(np.diff(log_radiance, axis=axis)).mean() for axis in range(3))
 
     grid, bricks = torch.tensor(values, requires_grad=True), Bricks.every(n)
-    variation(bricks.gathered(grid), bricks, "compiled").density.backward()
+    variation(bricks.gathered(grid), bricks, "compiled").backward()
     assert grid.grad is not None
-    slope, density = grid.grad[..., 0].numpy(), values[..., 0].astype(float)
+    slope, log_radiance = grid.grad[..., 1].numpy(), values[..., 1].astype(float)
     for place in np.ndindex(n, n, n):
-        moved = np.zeros_like(density)
+        moved = np.zeros_like(log_radiance)
         moved[place] = 1e-4
-        difference = (by_hand(density + moved) - by_hand(density - moved)) / 2e-4
+        difference = (by_hand(log_radiance + moved) - by_hand(log_radiance - moved)) / 2e-4
         assert slope[place] == pytest.approx(difference, abs=1e-6)
-    assert not slope[density < EMPTIEST - 1e-3].any()
+    assert not grid.grad[..., 0].any()
 
 
 def test_the_mean_square_and_its_gradient():

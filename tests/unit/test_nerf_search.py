@@ -3,21 +3,16 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
+import click
 import numpy as np
 import pytest
 import torch
 
 from pixelid.dynamics.trajectory import Dynamics, integrate
-from pixelid.nerf.additions import ADDITIONS, tilts
-from pixelid.nerf.calibration import Calibration
-from pixelid.nerf.camera import pinhole
-from pixelid.nerf.intervals import CHAIN, chains, intervals
-from pixelid.nerf.losses import amplifier_drift, changes, terms
-from pixelid.nerf.pixel import TRAINABLE, Bandwidth, Pixel
-from pixelid.nerf.pixel_maps import PixelMaps
-from pixelid.nerf.residuals import Rows, apart, compare, of_every_pixel, of_some_pixels, residual_map
-from pixelid.nerf.scan import respond
-from pixelid.nerf.search import (
+from pixelid.nerf.data.calibration import Calibration
+from pixelid.nerf.data.camera import pinhole
+from pixelid.nerf.effects.additions import ADDITIONS, tilts
+from pixelid.nerf.effects.search import (
     _begun,
     _Bench,
     _candidates,
@@ -26,7 +21,13 @@ from pixelid.nerf.search import (
     _with_named,
     with_trained_values,
 )
-from pixelid.nerf.state import Problem
+from pixelid.nerf.events.intervals import CHAIN, chains, intervals
+from pixelid.nerf.pixel.maps import PixelMaps
+from pixelid.nerf.pixel.model import TRAINABLE, Bandwidth, Pixel
+from pixelid.nerf.pixel.scan import respond
+from pixelid.nerf.training.losses import amplifier_drift, changes, terms
+from pixelid.nerf.training.residuals import Rows, apart, compare, of_every_pixel, of_some_pixels, residual_map
+from pixelid.nerf.training.state import Problem
 from pixelid.stages.circuit import Circuit
 from tests.unit.test_nerf_stretches import QUICK, comparator
 
@@ -197,7 +198,9 @@ def test_the_filter_can_be_trained_alone():
 def test_the_command_offers_what_can_be_trained():
     from pixelid.cli import reconstruct_command
 
-    assert reconstruct_command.TRAINABLE == TRAINABLE
+    (train,) = (p for p in reconstruct_command.command.params if "--train" in p.opts)
+    assert isinstance(train.type, click.Choice)
+    assert tuple(train.type.choices) == TRAINABLE == ("threshold", "ratio", *ADDITIONS)
 
 
 def a_calibration(circuit: Circuit) -> Calibration:
@@ -363,7 +366,7 @@ class Sought(_Bench):
     """Whose scenes explain held-out events the better the nearer a drift is to the best one, on a scale of factors."""
 
     def __init__(self, best: float, told: bool) -> None:
-        told_all = {"best": best, "told": told, "steps": 1, "make": lambda *_: SimpleNamespace(tilts={})}
+        told_all = {"best": best, "told": told, "steps": 1, "make": lambda *_, **__: SimpleNamespace(tilts={})}
         for name, value in told_all.items():
             object.__setattr__(self, name, value)
 

@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import ttest_1samp
 
-from pixelid.nerf.gain import most_gained, paired
-from pixelid.nerf.recipe import Recipe
-from pixelid.nerf.regularisation import FACTORS, chosen
-from pixelid.nerf.stopping import LOOKS, Look, Stopping, looked_at
+from pixelid.nerf.training.held_out import FACTORS, LOOKS, Look, Stopping, chosen, looked_at, most_gained, paired
+from pixelid.nerf.training.recipe import Recipe
 
 PIXELS, ROWS = 120, 3000
 

@@ -9,14 +9,14 @@ import torch
 
 from pixelid.dynamics.trajectory import Dynamics, integrate
 from pixelid.model.shipped import find_model
-from pixelid.nerf.camera import pinhole
-from pixelid.nerf.gauge import CLOSE_PIXELS, crossing_time, time_resolution
-from pixelid.nerf.intervals import chains, intervals
-from pixelid.nerf.losses import changes, quiet_change, terms
-from pixelid.nerf.pixel import Bandwidth, Pixel
-from pixelid.nerf.scan import respond
-from pixelid.nerf.scenes import FIELD_OF_VIEW, spiral
-from pixelid.nerf.stretches import stretches
+from pixelid.nerf.data.camera import pinhole
+from pixelid.nerf.data.scenes import FIELD_OF_VIEW, spiral
+from pixelid.nerf.events.gauge import CLOSE_PIXELS, crossing_time, time_resolution
+from pixelid.nerf.events.intervals import chains, intervals
+from pixelid.nerf.events.stretches import stretches
+from pixelid.nerf.pixel.model import Bandwidth, Pixel
+from pixelid.nerf.pixel.scan import respond
+from pixelid.nerf.training.losses import changes, quiet_change, terms
 
 QUICK = Dynamics(alpha=2.5e7, beta=1851.0, gamma=450.0, follower=19616.1, differencing=100531.0)
 

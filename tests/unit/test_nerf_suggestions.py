@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from pixelid.nerf.suggestions import Suggested
+from pixelid.nerf.effects.suggestions import Suggested
 
 
 def suggested(**strengths: float) -> Suggested:

@@ -9,11 +9,11 @@ import torch
 from pixelid.dynamics.of_circuit import dynamics_of
 from pixelid.dynamics.trajectory import Dynamics
 from pixelid.model.shipped import find_model
-from pixelid.nerf.ignored import MODELLED, forgotten, ignored_effects
-from pixelid.nerf.intervals import chains, intervals
-from pixelid.nerf.losses import amplifier_drift, changes
-from pixelid.nerf.pixel import Bandwidth, Pixel, filter_parameters, limits_bandwidth
-from pixelid.nerf.scan import respond
+from pixelid.nerf.effects.ignored import MODELLED, forgotten, ignored_effects
+from pixelid.nerf.events.intervals import chains, intervals
+from pixelid.nerf.pixel.model import Bandwidth, Pixel, filter_parameters, limits_bandwidth
+from pixelid.nerf.pixel.scan import respond
+from pixelid.nerf.training.losses import amplifier_drift, changes
 from pixelid.stages import LIBRARY
 from pixelid.stages.circuit import Circuit
 

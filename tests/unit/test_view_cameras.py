@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from pixelid.errors import InputError
+from pixelid.nerf.data.view_cameras import camera_of_document, states_camera
 from pixelid.nerf.shown.ways import way_of_file
-from pixelid.nerf.view_cameras import camera_of_document, states_camera
 
 FILE = Path("transforms.json")
 POSE = {"file_path": "a.png", "transform_matrix": np.eye(4).tolist()}

@@ -1,1 +1,1 @@
-"""A reconstructed scene to look at: views along a way, videos, depth, a mesh, Gaussian splats."""
+"""What becomes of a trained scene: scores, files, pictures, videos, meshes and splats."""

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from pixelid.errors import InputError
-from pixelid.nerf.correction import Correction
-from pixelid.nerf.evaluate import psnr_of
+from pixelid.nerf.data.views import ViewsFile
+from pixelid.nerf.shown.correction import Correction
+from pixelid.nerf.shown.evaluate import psnr_of
 from pixelid.nerf.shown.ways import Way
-from pixelid.nerf.views import ViewsFile
 
 FULL_SCALE = 0.3  # of the white of all pictures of a file, shown or not: the absolute error that is shown brightest
 

@@ -16,6 +16,14 @@ def write_figures(result: Rendered, folder: Path) -> None:
     save_figure(draw_frames(result), folder / "views.svg")
 
 
+def hide_ticks_and_frames(axes: Any) -> None:
+    """Take ticks, grid and frame from axes that show pictures."""
+    for axis in axes.flat:
+        axis.set(xticks=[], yticks=[])
+        axis.grid(False)
+        axis.spines[:].set_visible(False)
+
+
 @styled
 def draw_frames(result: Rendered, axes: Any = None) -> Any:
     """Frames, errors where there are pictures, and depths where asked for; returns the axes (1 to 3, frames)."""
@@ -34,11 +42,7 @@ def draw_frames(result: Rendered, axes: Any = None) -> Any:
     axes = axes.reshape(rows, -1)
     for k, image in enumerate(result.shown):
         axes[0, k].imshow(image)
-    for axis in axes.flat:
-        axis.set_xticks([])
-        axis.set_yticks([])
-        axis.grid(False)
-        axis.spines[:].set_visible(False)
+    hide_ticks_and_frames(axes)
     for row, (images, scale, label) in enumerate(below, start=1):
         shown = [axes[row, k].imshow(image, **scale) for k, image in enumerate(images)]
         axes[0, 0].figure.colorbar(shown[-1], ax=axes[row].tolist(), shrink=0.8, label=label)

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 
 from pixelid.errors import InputError
-from pixelid.nerf.evaluate import render_views
-from pixelid.nerf.field import Field
+from pixelid.nerf.data.views import Views
+from pixelid.nerf.field.radiance import Field
 from pixelid.nerf.shown.errors import Pictures, error_picture, write_error
+from pixelid.nerf.shown.evaluate import render_views
 from pixelid.nerf.shown.solid import depth_of
 from pixelid.nerf.shown.ways import Way
-from pixelid.nerf.views import Views
 
 FRAMES, DEPTH, ERRORS = "frames", "depth", "errors"
 FEW = 5  # of the frames, that a figure shows

@@ -10,12 +10,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from pixelid.nerf.correction import Correction
-from pixelid.nerf.evaluate import render_views
-from pixelid.nerf.saved import FIELD, SavedReconstruction
 from pixelid.nerf.shown import ply, video
+from pixelid.nerf.shown.correction import Correction
 from pixelid.nerf.shown.errors import FULL_SCALE, pictures_of
+from pixelid.nerf.shown.evaluate import render_views
 from pixelid.nerf.shown.frames import DEPTH, ERRORS, FRAMES, eight_bits, make_frames, read_back, view_of
+from pixelid.nerf.shown.saved import FIELD, SavedReconstruction
 from pixelid.nerf.shown.solid import mesh_of
 from pixelid.nerf.shown.splats import splats_of
 from pixelid.nerf.shown.ways import Way

@@ -9,11 +9,11 @@ import numpy as np
 import torch
 
 from pixelid.errors import InputError
-from pixelid.nerf.evaluate import render_views
-from pixelid.nerf.field import Field
-from pixelid.nerf.harmonics import harmonics
-from pixelid.nerf.render import read_off
-from pixelid.nerf.views import Views
+from pixelid.nerf.data.views import Views
+from pixelid.nerf.field.harmonics import harmonics
+from pixelid.nerf.field.radiance import Field
+from pixelid.nerf.field.render import read_off
+from pixelid.nerf.shown.evaluate import render_views
 
 SURFACE = 0.5  # opacity of one cell at which a surface is drawn
 SEEN = 0.5  # opacity of a ray below which it has no depth

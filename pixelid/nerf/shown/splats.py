@@ -19,8 +19,8 @@ import numpy as np
 import torch
 
 from pixelid.errors import InputError
-from pixelid.nerf.field import EMPTY, Field
-from pixelid.nerf.harmonics import harmonics
+from pixelid.nerf.field.harmonics import harmonics
+from pixelid.nerf.field.radiance import EMPTY, Field
 from pixelid.nerf.shown.solid import vertex_values
 
 HIDDEN = 0.95  # opacity of all six neighbours beyond which nobody sees a vertex

@@ -10,14 +10,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pixelid.errors import InputError
-from pixelid.nerf.arrays import finite, read_arrays, unit_quaternions
-from pixelid.nerf.calibration import read_calibration
-from pixelid.nerf.camera import Camera, pinhole
-from pixelid.nerf.colmap import colmap_images, read_transforms
-from pixelid.nerf.dataset import CALIBRATION, POSES
-from pixelid.nerf.scenes import FIELD_OF_VIEW, looking_at_centre, on_sphere
-from pixelid.nerf.view_cameras import camera_of_document, stated_size, states_camera
-from pixelid.nerf.views import (
+from pixelid.nerf.data.arrays import finite, read_arrays, unit_quaternions
+from pixelid.nerf.data.calibration import read_calibration
+from pixelid.nerf.data.camera import Camera, pinhole
+from pixelid.nerf.data.colmap import colmap_images, read_transforms
+from pixelid.nerf.data.dataset import CALIBRATION, POSES
+from pixelid.nerf.data.scenes import FIELD_OF_VIEW, looking_at_centre, on_sphere
+from pixelid.nerf.data.view_cameras import camera_of_document, stated_size, states_camera
+from pixelid.nerf.data.views import (
     FOLDER,
     OPENGL,
     STAGES,

@@ -1,0 +1,1 @@
+"""From chains of events to a trained scene: loss, steps, and what events held out decide."""
