@@ -39,7 +39,7 @@ class Objective(ABC):
         """Value, gradient and information at x."""
 
     def near(self, x: np.ndarray) -> Self:
-        """The same with what it holds near an optimum taken anew at x; itself where it holds nothing."""
+        """The same with what it holds near an optimum taken again at x; itself where it holds nothing."""
         return self
 
     def gradient(self, x: np.ndarray) -> np.ndarray:

@@ -42,7 +42,7 @@ class Refined:
     optimum: of it
     between: "linear" or "smooth"
     details: what decided it, as results show it
-    ridge: along which what is held leads astray, where there is one
+    ridge: along which what is held misleads, where there is one
     """
 
     objective: EventTimesObjective

@@ -49,7 +49,7 @@ class Ridge:
 
 
 def ridge_of_stamps(objective: EventTimesObjective, optimum: Optimum) -> Ridge | None:
-    """The maximum along the ridge from an optimum at rest; None where stamps share nothing or nothing leads astray.
+    """The maximum along the ridge from an optimum at rest; None where stamps share nothing or nothing misleads.
 
     Args:
         objective: Held as at the optimum.

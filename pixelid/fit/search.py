@@ -65,7 +65,7 @@ class SearchResult:
         dispersion: Variance of counts over what the model expects; 1 of event times.
         information: (d, d) inverse of the estimates' covariance, where it is not the curvature's (pooled counts).
         bench: Nuisances that were held at what a fit without shot noise found.
-        ridge: Along which what is held of the noise of stamps leads astray, where there is one.
+        ridge: Along which what is held of the noise of stamps misleads, where there is one.
     """
 
     objective: Any
