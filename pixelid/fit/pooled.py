@@ -15,7 +15,7 @@ from pixelid.fit.own_values import with_own_values
 from pixelid.fit.pooled_rate import PooledRateObjective
 from pixelid.fit.pooled_search import BLUR, SETTLED, best_teeth, in_rounds, settled
 from pixelid.fit.search import SearchResult
-from pixelid.fit.starts import align, match_counts
+from pixelid.fit.starts import align, match_counts, upright
 from pixelid.likelihood.pooled_rate import PooledRate
 from pixelid.model.model import Model
 from pixelid.recordings.bursts import BurstCounter, Bursts
@@ -61,7 +61,8 @@ def fit_pooled(
 
     fixed: nuisances of the recordings to hold.  Raises InputError for a name in it that is none.
     """
-    model = model.release(["delay_s"])
+    model, stated_light = model.release(["delay_s"]), recordings
+    recordings = [upright(recording) for recording in recordings]
     scout = PooledRate(recordings, first_s=_scouted_s(recordings), kinds=SCOUT_KINDS)
     nuisances = {p.name: p for p in scout.nuisances()}
     model = with_bench(model, recordings, delays=False)
@@ -131,6 +132,9 @@ def fit_pooled(
             steps += optimum.steps
     dispersion = objective.likelihood.dispersion(objective.expected(optimum.x))
     caveats = [FLUID] if fluid else []
+    turned = [r.name for r, was in zip(recordings, stated_light, strict=True) if r is not was]
+    if turned:
+        caveats.append(f"{', '.join(turned)}: ON events come where the shape of the light falls; it is taken upside down")
     if pixels is not None:
         caveats.append(f"pooled.pixels = {pixels:g} is held: as stated, or the events come in bursts of so many")
     if "stimulus.offset" in nuisances:
