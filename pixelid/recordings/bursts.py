@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from pixelid.recordings.events import Events
+from pixelid.recordings.recording import Recording
 
 WAITS_NS = (1_000, 2_000, 3_000, 5_000, 7_000, 10_000, 15_000, 20_000, 30_000)  # a readout's gaps to a fast ramp's
 MOST_EVENTS = 4_000_000  # looked at
@@ -83,6 +84,13 @@ class BurstCounter:
     def bursts(self) -> Bursts:
         """What they show."""
         return find_bursts(np.concatenate(self._t), np.concatenate(self._p)) if self._t else Bursts(None, "no events")
+
+
+def bursts_of(recording: Recording) -> Bursts:
+    """What the events of a pooled recording show."""
+    counter = BurstCounter()
+    counter.add(recording.events)
+    return counter.bursts()
 
 
 def find_bursts(t: np.ndarray, p: np.ndarray) -> Bursts:
