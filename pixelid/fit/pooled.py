@@ -35,8 +35,8 @@ FLUID = (
     "only their ratio (pooled.pixels is a gauge)"
 )
 SHARED = (
-    "bursts show a shared readout, for which all pixels wait (`pixelid inspect`): counts then scatter more than those of "
-    "pixels that fire on their own, and a dead time may be the readout's"
+    "bursts show a shared readout, for which all pixels wait (`pixelid inspect`): counts then scatter more than those "
+    "of pixels that fire on their own, and a dead time may be the readout's"
 )
 
 
@@ -59,8 +59,8 @@ def fit_pooled(
 ) -> SearchResult:
     """The optimum of pooled counts.
 
-    The search goes from wide optima to narrow ones: the fluid limit, a pool less and less blurred, the pool on a part of
-    the events, the pool on all.  A model without threshold_noise is fitted in the fluid limit.
+    The search goes from wide optima to narrow ones: the fluid limit, a pool less and less blurred, the pool on a part
+    of the events, the pool on all.  A model without threshold_noise is fitted in the fluid limit.
 
     fixed: nuisances of the recordings to hold.  Raises InputError for a name in it that is none.
     """
@@ -136,7 +136,7 @@ def fit_pooled(
     caveats = [FLUID] if fluid else []
     turned = [r.name for r, was in zip(recordings, stated_light, strict=True) if r is not was]
     if turned:
-        caveats.append(f"{', '.join(turned)}: ON events come where the shape of the light falls; it is taken upside down")
+        caveats.append(f"{', '.join(turned)}: ON events come where the shape of the light falls: taken upside down")
     if any(burst.silence_s is not None for burst in bursts):
         caveats.append(SHARED)
     if pixels is not None:

@@ -99,7 +99,8 @@ def upright(recording: Recording) -> Recording:
     follows = max((float(excess @ np.roll(steps, lag)) for lag in lags), key=abs)
     if follows >= 0:
         return recording
-    return replace(recording, stimulus=replace(light, radiance=light.radiance.max() + light.radiance.min() - light.radiance))
+    turned = light.radiance.max() + light.radiance.min() - light.radiance
+    return replace(recording, stimulus=replace(light, radiance=turned))
 
 
 def align(likelihood: PooledRate, model: Model, values: dict[str, float]) -> dict[str, float]:

@@ -278,7 +278,7 @@ def _describe(
         if term[0] and term[1] > TELLING_NATS:
             text += f" Rates that depend on {term[0]} gain {term[1]:.3g} nats on stretches not used to find them."
         if shared:
-            text += " Bursts show a shared readout, for which all pixels wait (`pixelid inspect`); no effect describes it."
+            text += " Bursts show a shared readout, for which all pixels wait; no effect describes it."
         listed = "; ".join(e.name for e in effects)
         return (f"Found on the way: {listed}. " if listed else "") + text
     if said == "ambiguous":  # rounds end with the first doubt: the last one named is in doubt
