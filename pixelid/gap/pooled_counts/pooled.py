@@ -271,7 +271,7 @@ def _describe(
     run: FreeRun | None,
     seen: PooledDiagnostics,
     term: tuple[str, float],
-    shared: bool,
+    shared: bool = False,
 ) -> str:
     if said == "unknown":
         text = f"Something is missing that no effect of the library explains: {seen.words}."
