@@ -13,33 +13,36 @@ from pixelid.fit.bench import held, with_bench
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.own_values import with_own_values
 from pixelid.fit.pooled_rate import PooledRateObjective
-from pixelid.fit.pooled_search import BLUR, SETTLED, best_teeth, in_rounds, settled
+from pixelid.fit.pooled_search import BLURS, SETTLED, best_of, settled
 from pixelid.fit.search import SearchResult
-from pixelid.fit.starts import align, match_counts
+from pixelid.fit.starts import align, match_counts, upright
 from pixelid.likelihood.pooled_rate import PooledRate
 from pixelid.model.model import Model
-from pixelid.recordings.bursts import BurstCounter, Bursts
+from pixelid.recordings.bursts import bursts_of
 from pixelid.recordings.recording import Recording
 
 SCOUT_EVENTS, SCOUT_KINDS = 10_000, 6  # per recording, and kinds of pixel, that the search from afar looks at
 LEAST_SCOUT_S = 0.1  # of each recording
 AFAR = 20.0  # times as long for the fluid limit, which costs little and on a short stretch has wrong optima
-FROM_AFAR = (BLUR, BLUR / 2)  # noise added to thresholds in the rounds of that search
 # Held in a blurred pool: it would take the place of what is not yet right.
 SCATTER = ("threshold_sigma", "threshold_mismatch.sigma")
 MUCH = 2.0  # times as long as a part worth a search of its own
 ENOUGH = 1.0  # standard errors of that part: more than those of all
 DEAD_TIMES_S = (1e-5, 1e-4, 1e-3)
-OF_BOUND = (0.9, 0.6, 0.35)  # of what bursts bound it by; pools of fast thresholds fire again so long after it
+OF_BOUND = (0.9, 0.5)  # of what bursts bound it by; pools of fast thresholds fire again so long after it
 FLUID = (
     "number of pooled pixels × thresholds: without threshold_noise counts are those of many small thresholds, and show "
     "only their ratio (pooled.pixels is a gauge)"
+)
+SHARED = (
+    "bursts show a shared readout, for which all pixels wait (`pixelid inspect`): counts then scatter more than those "
+    "of pixels that fire on their own, and a dead time may be the readout's"
 )
 
 
 @dataclass(frozen=True)
 class Search:
-    """One search of several: of which likelihood, `of` which coordinates, and the rest as of `in_rounds`."""
+    """One search of several: of which likelihood, `of` which coordinates, and the rest as of `best_of`."""
 
     likelihood: PooledRate
     of: Coordinates
@@ -56,12 +59,13 @@ def fit_pooled(
 ) -> SearchResult:
     """The optimum of pooled counts.
 
-    The search goes from wide optima to narrow ones: the fluid limit, a blurred pool from several thresholds, the pool
-    on a part of the events, the pool on all.  A model without threshold_noise is fitted in the fluid limit.
+    The search goes from wide optima to narrow ones: the fluid limit, a pool less and less blurred, the pool on a part
+    of the events, the pool on all.  A model without threshold_noise is fitted in the fluid limit.
 
     fixed: nuisances of the recordings to hold.  Raises InputError for a name in it that is none.
     """
-    model = model.release(["delay_s"])
+    model, stated_light = model.release(["delay_s"]), recordings
+    recordings = [upright(recording) for recording in recordings]
     scout = PooledRate(recordings, first_s=_scouted_s(recordings), kinds=SCOUT_KINDS)
     nuisances = {p.name: p for p in scout.nuisances()}
     model = with_bench(model, recordings, delays=False)
@@ -81,7 +85,7 @@ def fit_pooled(
     afar = PooledRate(recordings, first_s=AFAR * _scouted_s(recordings)).fluid()
     start |= align(afar, model, start)
     fluid = "threshold_noise" not in model.effects
-    bursts = [b for b in map(_bursts, recordings) if b.pixels is not None]
+    bursts = [b for b in map(bursts_of, recordings) if b.pixels is not None]
     sizes = {b.pixels for b in bursts}
     size = next(iter(sizes)) if len(sizes) == 1 else None
     pixels = fixed.get("pooled.pixels", None if size is None else float(size))
@@ -89,7 +93,7 @@ def fit_pooled(
     begins = [stated]
     if spacings_s and "refractory_s" in stated:
         dead = model.parameter("refractory_s")
-        begins = [{**stated, "refractory_s": dead.within(share * min(spacings_s))} for share in OF_BOUND]
+        begins += [{"refractory_s": dead.within(share * min(spacings_s))} for share in OF_BOUND]
     start |= {name: value for name, value in _counted(afar, model, start, pixels).items() if name not in fixed}
     if pixels is not None or fluid:
         nuisances["pooled.pixels"] = nuisances["pooled.pixels"].at(start["pooled.pixels"]).fixed()
@@ -108,15 +112,14 @@ def fit_pooled(
     if fluid:
         searches = [Search(PooledRate(recordings).fluid(), narrow, (1.0,), 0.1)]
     else:
-        searches += [Search(scout, narrow, FROM_AFAR, 1.0), Search(scout, poleless, (0.0, 0.0), 1.0)]
+        searches += [Search(scout, narrow, BLURS, 1.0), Search(scout, poleless, (0.0, 0.0), 1.0)]
         searches += [Search(scout, coordinates, (0.0,), 1.0)] if poleless.names != coordinates.names else []
     x, steps, searched = narrow.start, 0, narrow
     for k, search in enumerate(searches):
         x, searched = (x if search.of is searched else _wider(searched, x, search.of)), search.of
-        objective = PooledRateObjective(search.likelihood, searched)
-        x = best_teeth(objective, [x, *(_at(searched, begin) for begin in begins)]) if search.blurs is FROM_AFAR else x
-        objective, optimum = in_rounds(
-            objective, x, search.tolerance, search.blurs,
+        starts = [x, *(_at(searched, x, begin) for begin in begins)] if search.blurs is BLURS else [x]
+        objective, optimum = best_of(
+            PooledRateObjective(search.likelihood, searched), starts, search.tolerance, search.blurs,
             lambda part, k=k: report("fitting", 0.1 + 0.5 * (k + part) / len(searches)),
         )  # fmt: skip
         x, steps = optimum.x, steps + optimum.steps
@@ -131,6 +134,11 @@ def fit_pooled(
             steps += optimum.steps
     dispersion = objective.likelihood.dispersion(objective.expected(optimum.x))
     caveats = [FLUID] if fluid else []
+    turned = [r.name for r, was in zip(recordings, stated_light, strict=True) if r is not was]
+    if turned:
+        caveats.append(f"{', '.join(turned)}: ON events come where the shape of the light falls: taken upside down")
+    if any(burst.silence_s is not None for burst in bursts):
+        caveats.append(SHARED)
     if pixels is not None:
         caveats.append(f"pooled.pixels = {pixels:g} is held: as stated, or the events come in bursts of so many")
     if "stimulus.offset" in nuisances:
@@ -155,9 +163,9 @@ def _poles(model: Model) -> tuple[str, ...]:
     return ("diff_cutoff_hz",) if {"sf_cutoff_hz", "diff_cutoff_hz"} <= set(model.free) else ()
 
 
-def _at(coordinates: Coordinates, stated: Mapping[str, float]) -> np.ndarray:
-    """The start with the stated values, not those that the fluid limit needs, in which no pixel waits."""
-    x = coordinates.start.copy()
+def _at(coordinates: Coordinates, x: np.ndarray, stated: Mapping[str, float]) -> np.ndarray:
+    """The point x with the stated values, not those that the fluid limit needs, in which no pixel waits."""
+    x = x.copy()
     for i, parameter in enumerate(coordinates.parameters):
         if parameter.name in stated:
             x[i] = parameter.to_coordinate(stated[parameter.name])
@@ -181,12 +189,6 @@ def _lengths_s(recordings: Sequence[Recording]) -> list[float]:
     few_s = _scouted_s(recordings)
     longer = any(r.stimulus is not None and r.stimulus.duration_s > MUCH * few_s for r in recordings)
     return [few_s, math.inf] if longer else [math.inf]
-
-
-def _bursts(recording: Recording) -> Bursts:
-    counter = BurstCounter()
-    counter.add(recording.events)
-    return counter.bursts()
 
 
 def _counted(afar: PooledRate, model: Model, start: dict[str, float], pixels: float | None) -> dict[str, float]:

@@ -1,4 +1,4 @@
-"""Searches of pooled counts: from several thresholds, round by round, and the last one to within its errors."""
+"""Searches of pooled counts: round by round, and the last one to within its errors."""
 
 from __future__ import annotations
 
@@ -14,11 +14,9 @@ from pixelid.fit.pooled_rate import PooledRateObjective
 from pixelid.parameters.parameter import OPEN_SD
 from pixelid.statistics import Z95
 
-BLUR = 0.1  # noise added to thresholds where the search of a blurred pool starts
-# Times both thresholds: optima lie where a ramp makes one event more or less, of 3 to 10.
-SCALES = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.25, 1.4, 1.6, 1.8)
-# So many of the best go on, for so many steps: a few steps match the number of events, more the place of bursts.
-LEGS = ((10_000, 2), (10, 10), (2, 40))
+# Noise added to thresholds, step by step less.  Pixels in step fire at the same phases of a ramp with n and with n + 1
+# events on it: optima of their own, which melt into one where noise hides from which pixel an event comes.
+BLURS = (0.4, 0.2, 0.1, 0.05)
 MAX_STEPS = 20  # of a round
 # Standard errors that one more step would move: an estimate off by so many still has an interval of 94 % instead of
 # 95 %, since Φ(1.96 − 0.3) − Φ(−1.96 − 0.3) = 0.94.
@@ -34,28 +32,19 @@ FOLLOWED = 0.5  # of a step's part along open directions, in the first rounds
 NEAR = 2.0
 
 
-def best_teeth(objective: PooledRateObjective, begins: Sequence[np.ndarray]) -> np.ndarray:
-    """Of several scales of both thresholds from each point, what suits the counts best after a race of searches.
-
-    Pixels in step fire at the same phases of a ramp with n and with n + 1 events on it: optima of their own.
-    """
-    names = objective.coordinates.names
-    which = [names.index(name) for name in ("on_threshold", "off_threshold") if name in names]
-    ends = []
-    for x in begins:
-        for scale in SCALES if which else (1.0,):
-            begin = x.copy()
-            begin[which] += np.log(scale)
-            ends.append(begin)
-    for most, steps in LEGS:
-        optima = sorted((_blurred(objective, begin, steps) for begin in ends[:most]), key=lambda end: -end.local.value)
-        ends = [end.x for end in optima]
-    return ends[0]
-
-
-def _blurred(objective: PooledRateObjective, x: np.ndarray, steps: int) -> Optimum:
-    part = objective.near(x, scatter=False, blur=BLUR)
-    return maximise(part, x, tolerance=1.0, max_steps=steps)
+def best_of(
+    objective: PooledRateObjective,
+    starts: Sequence[np.ndarray],
+    tolerance: float,
+    blurs: Sequence[float],
+    report: Callable[[float], None],
+) -> tuple[PooledRateObjective, Optimum]:
+    """`in_rounds` from each start: where it ends best."""
+    ends = [
+        in_rounds(objective, x, tolerance, blurs, lambda part, i=i: report((i + part) / len(starts)))
+        for i, x in enumerate(starts)
+    ]
+    return max(ends, key=lambda end: end[1].local.value)
 
 
 def in_rounds(

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from pixelid.fit.own_values import in_event_times
 from pixelid.likelihood.event_times import EventTimes
-from pixelid.likelihood.pooled_rate import PooledRate, delay_name
+from pixelid.likelihood.pooled_rate import PooledRate, binned, delay_name
 from pixelid.model.model import Model
+from pixelid.recordings.recording import Recording
+from pixelid.stimuli.stimulus import Stimulus
 
 SILENCE = "dead_time_without_reset.s"
 LOST, SCATTER, THRESHOLDS = "lost_events.fraction", "threshold_sigma", ("on_threshold", "off_threshold")
+LATEST_S, LAG_S = 2e-3, 1e-4  # of a delay either way, and its steps
 WIDER = 2.0  # times what most levels say; at the true optimum 1, at the other 5 or more
 
 
@@ -76,6 +81,26 @@ def longest_dead_time(model: Model, likelihood: EventTimes) -> float:
 def random_starts(start: np.ndarray, count: int, rng: np.random.Generator, spread: float = 0.5) -> list[np.ndarray]:
     """`start` moved by independent uniform factors e^±spread, `count` times."""
     return [start + rng.uniform(-spread, spread, len(start)) for _ in range(count)]
+
+
+def upright(recording: Recording) -> Recording:
+    """The recording with its light upside down where that is of unit "shape" and ON events come where it falls.
+
+    Which of two unknown levels is the brighter, the polarity of events says: by the delay at which ON less OFF events
+    follow the steps of the light best, of either sign.
+    """
+    light = recording.stimulus
+    if not isinstance(light, Stimulus) or light.unit != "shape" or not light.full_field:
+        return recording
+    counts = binned(recording, LAG_S, np.inf)
+    held = light.radiance[np.maximum(np.searchsorted(light.t, counts.edges, side="right") - 1, 0)]
+    steps, excess = np.diff(held), counts.on - counts.off
+    lags = range(-round(LATEST_S / LAG_S), round(LATEST_S / LAG_S) + 1)
+    follows = max((float(excess @ np.roll(steps, lag)) for lag in lags), key=abs)
+    if follows >= 0:
+        return recording
+    turned = light.radiance.max() + light.radiance.min() - light.radiance
+    return replace(recording, stimulus=replace(light, radiance=turned))
 
 
 def align(likelihood: PooledRate, model: Model, values: dict[str, float]) -> dict[str, float]:

@@ -83,6 +83,11 @@ def _bursts(bursts: dict[str, Any]) -> str:
         text += f", read out in rows of {bursts['row_pixels']}"
     if bursts["dead_time_at_most_s"] is not None:
         text += f"; dead time ≤ {_seconds(bursts['dead_time_at_most_s'])}, as no pixel fires twice within it"
+    if bursts["shared_silence_s"] is not None:
+        text += (
+            f"; after half of them have fired the others are silent too, for {_seconds(bursts['shared_silence_s'])} "
+            "and more: pixels wait for a shared readout, which in full bursts looks like a dead time"
+        )
     return text
 
 

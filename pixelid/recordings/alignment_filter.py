@@ -284,7 +284,7 @@ class _Problem:
         return out
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, error_model="numpy")
 def _filter(u, relative, step, rates, out):
     """Fill `out` (m, n) with u (n,) behind m filters of rates (m, 4) that run side by side.
 

@@ -8,6 +8,10 @@ cuts is not known beforehand, so several are tried and the one under which most 
 Of any N + 1 events in a row, two are of one pixel, so they take at least a dead time: the least that a tenth more than
 N take bounds the dead time from above, and is little longer where the light moves fast.  Rows that a readout scans
 share a time stamp: within full bursts most groups of equal stamps then have the size of a row.
+
+Pixels that fire on their own leave no silence after a part of them has fired: the others may follow at once, whatever
+the dead time of the first.  A readout that takes all that wait in one cycle, and is busy the longer the more it takes,
+makes all of them wait: silences then grow with the size of the burst before.
 """
 
 from __future__ import annotations
@@ -19,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from pixelid.recordings.events import Events
+from pixelid.recordings.recording import Recording
 
 WAITS_NS = (1_000, 2_000, 3_000, 5_000, 7_000, 10_000, 15_000, 20_000, 30_000)  # a readout's gaps to a fast ramp's
 MOST_EVENTS = 4_000_000  # looked at
@@ -28,6 +33,9 @@ MORE = 1.1  # times N: so much noise is in few stretches, or pixels that N lacks
 SHORTEST = 0.01  # of the times that so many events take: a window with more noise is chance
 NESTED = 0.5  # of the events in full bursts of any size: bursts of fewer are chance
 ROW_SHARE = 0.5  # of the events of full bursts in groups of one size
+SMALL, LARGE = (0.125, 0.25), (0.5, 1.0)  # of N: bursts whose silences are compared
+SELDOM = 0.1  # of silences are shorter than the one compared, of pauses in full bursts longer than the one that cuts
+GROWS = 2.0  # times as long after large bursts: without a shared readout neither is longer than the wait that cuts
 
 
 @dataclass(frozen=True)
@@ -37,6 +45,8 @@ class Bursts:
     pixels: of the pool; None where bursts do not end at a size, and `reason` says why;  full: how many bursts had all
     length_s: of a full burst, median;  spacing_s: the least that `MORE` times as many events take, None without N
     row: events with one time stamp within full bursts, None where they have stamps of their own
+    silence_s: nine in ten silences after bursts of half to all but one of the pixels are longer, where silences grow
+        with bursts as those of a shared readout do; else None
     """
 
     pixels: int | None
@@ -45,12 +55,14 @@ class Bursts:
     length_s: float | None = None
     spacing_s: float | None = None
     row: int | None = None
+    silence_s: float | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """The entry in inspect.json."""
         return {
             "pixels": self.pixels, "reason": self.reason, "full_bursts": self.full, "burst_s": self.length_s,
             "dead_time_at_most_s": self.spacing_s, "row_pixels": self.row,
+            "shared_silence_s": self.silence_s,
         }  # fmt: skip
 
 
@@ -74,6 +86,13 @@ class BurstCounter:
         return find_bursts(np.concatenate(self._t), np.concatenate(self._p)) if self._t else Bursts(None, "no events")
 
 
+def bursts_of(recording: Recording) -> Bursts:
+    """What the events of a pooled recording show."""
+    counter = BurstCounter()
+    counter.add(recording.events)
+    return counter.bursts()
+
+
 def find_bursts(t: np.ndarray, p: np.ndarray) -> Bursts:
     """The full bursts among times t (n,) ns, in order, of polarities p (n,) 0 or 1."""
     found = []
@@ -89,12 +108,16 @@ def find_bursts(t: np.ndarray, p: np.ndarray) -> Bursts:
     enough = NESTED * max(events for _, events, _ in found)
     pixels, _, parts = max((one for one in found if one[1] >= enough), key=lambda one: one[:2])
     full = 0
-    lengths, grouped = [], np.zeros(pixels + 1)
+    lengths, pauses, grouped = [], [], np.zeros(pixels + 1)
     for polarity, (first, last, size) in enumerate(parts):
         times = t[p == polarity]
         whole = size == pixels
         full, begin = full + int(whole.sum()), times[first]
         lengths.append((times[last] - begin)[whole])
+        if whole.any():
+            steps = np.append(np.diff(times), 0)
+            steps[last] = 0  # the silence after a burst
+            pauses.append(np.maximum.reduceat(steps, first)[whole])
         within = np.repeat(whole, size)
         stamps = times[within] * 1.0
         change = np.flatnonzero(np.diff(stamps) != 0)
@@ -110,7 +133,19 @@ def find_bursts(t: np.ndarray, p: np.ndarray) -> Bursts:
         float(np.median(length)) * 1e-9,
         float(np.quantile(spacing, SHORTEST)) * 1e-9 if len(spacing) else None,
         row if 1 < row < pixels and grouped[row] > ROW_SHARE * grouped.sum() else None,
+        _shared_silence_s(t, pixels, int(np.quantile(np.concatenate(pauses), 1.0 - SELDOM))),
     )
+
+
+def _shared_silence_s(t: np.ndarray, pixels: int, wait_ns: int) -> float | None:
+    """As `Bursts.silence_s`, of times t (n,) ns in order, of either polarity."""
+    first, last, size = _cut(t, wait_ns)
+    silence, size = t[first[1:]] - t[last[:-1]], size[:-1]
+    groups = [silence[(size >= low * pixels) & (size < high * pixels)] for low, high in (SMALL, LARGE)]
+    if min(map(len, groups)) < LEAST_BURSTS:
+        return None
+    after_small, after_large = (float(np.quantile(group, SELDOM)) for group in groups)
+    return 1e-9 * after_large if after_large > GROWS * after_small else None
 
 
 def _cut(times: np.ndarray, wait_ns: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pixelid.fit.starts import feasible
+from pixelid.fit.starts import feasible, upright
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.shipped import find_model
 from pixelid.recordings import Events, Recording
@@ -28,3 +28,21 @@ def test_feasible_values_lie_within_their_bounds(name, threshold, unrelated):
     started = feasible(model, unrelated)
     assert all(p.lower <= p.value <= p.upper for p in started.parameters.values())
     assert started.values["on_threshold"] != threshold
+
+
+def test_light_of_unknown_levels_is_brighter_where_on_events_come():
+    rng = np.random.default_rng(2)
+    bits = rng.integers(0, 2, 200).astype(float)
+    light = Stimulus.from_arrays(2e-3 * np.arange(200), bits, "shape", "previous")
+    rises = np.repeat(light.t[1:][np.diff(bits) > 0], 5)
+    falls = np.repeat(light.t[1:][np.diff(bits) < 0], 5)
+    t = np.concatenate([rises, falls]) - 1e-4 + rng.exponential(3e-4, len(rises) + len(falls))
+    order, p = np.argsort(t), np.repeat([1, 0], [len(rises), len(falls)])
+    zeros = np.zeros(len(t), np.uint16)
+    stamps = (1e9 * np.sort(np.maximum(t, 0.0))).astype(np.int64)
+    as_is, swapped = (
+        Recording(Events(stamps, zeros, zeros, codes[order].astype(np.uint8), 1, 1), light, pooled=True)
+        for codes in (p, 1 - p)
+    )
+    assert upright(as_is) is as_is
+    assert np.array_equal(upright(swapped).stimulus.radiance, 1.0 - bits)

@@ -124,6 +124,26 @@ def test_bursts_show_pixels_rows_and_dead_time():
     assert bursts.spacing_s == pytest.approx(120e-6, rel=0.03)
 
 
+def polled(busy_ns):
+    """(t, p) of 49 pixels that a readout polls: busy for so long per event, 3 µs apart else.
+
+    Half the time all fire as soon as they can, half the time with pauses.
+    """
+    rng, t, now, waits = np.random.default_rng(4), [], 0, np.zeros(49)
+    while len(t) < 30_000:
+        fire = np.flatnonzero(waits <= now)
+        t += [now + 2_000 * int(row) for row in fire // 7]
+        waits[fire] = now + 30_000 + (rng.exponential(60_000, len(fire)) if now // 4_000_000 % 2 else 0.0)
+        now += 9_000 + busy_ns * len(fire) if len(fire) else 3_000
+    t = np.sort(np.array(t))
+    return t, np.ones(len(t), np.uint8)
+
+
+def test_silences_that_grow_with_bursts_show_a_shared_readout():
+    assert find_bursts(*polled(2_000)).silence_s == pytest.approx(9e-6 + 25 * 2e-6 - 12e-6, rel=0.3)
+    assert find_bursts(*polled(0)).silence_s is None
+
+
 def test_events_at_random_have_no_bursts():
     t = np.sort(np.random.default_rng(5).integers(0, 10**9, 40_000))
     assert find_bursts(t, np.ones(len(t), np.uint8)).pixels is None

@@ -13,7 +13,8 @@ from pixelid.gap.attribute.candidates import missing, remove_effect, variants
 from pixelid.gap.pooled_counts.stretches import Fitted, Stretches
 from pixelid.model.model import Model
 
-STEPS = 12  # of the optimiser: neighbouring models start near each other
+# Of the optimiser: neighbouring models start near each other, and the first steps show which of them lead.
+STEPS, FIRST_STEPS = 12, 4
 FIT, SELECT = 0, 1  # roles of stretches
 LIGHT_SPREAD = "light_spread"  # which only pooled counts have
 # Counts in bins of 50 µs blur what moves single events, and an event lost is a pixel fewer or a higher threshold.
@@ -53,12 +54,12 @@ class PooledCandidates:
                 best = value, trial
         if best is None:
             return None
-        end = self.stretches.fit(best[1], base.nuisances, part, STEPS)
+        end = self.stretches.fit(best[1], base.nuisances, part, FIRST_STEPS)
         return end, end.value - base.value
 
     def fit(self, starts: Sequence[tuple[str, Fitted]], report: Report) -> list[Fitted]:
-        """The candidates as screened: that was a fit to all stretches to fit."""
-        return [end for _, end in starts]
+        """The candidates from where screening left them."""
+        return [self.stretches.fit(end.model, end.nuisances, self.stretches.part(FIT), STEPS) for _, end in starts]
 
     def fit_without(self, effect: str, end: Fitted) -> Fitted:
         """The model without an effect, from the values that it has with it."""

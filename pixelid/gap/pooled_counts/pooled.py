@@ -38,6 +38,7 @@ from pixelid.gap.rounds import withdrawn as taken_back
 from pixelid.gap.verdict import TELLING_NATS, describe, judge
 from pixelid.model.model import Model
 from pixelid.provenance import input_hashes, versions
+from pixelid.recordings.bursts import bursts_of
 from pixelid.recordings.recording import Recording
 from pixelid.statistics import Z95
 from pixelid.stimuli.stimulus import Stimulus
@@ -170,10 +171,11 @@ def _confirm(state: PooledState, context: Context) -> GapReport:
     effects = tuple(_named(step, state.fit, errors) for step in state.steps)
     said = judge(bool(effects), bool(doubts), remainder, None)
     term = flexible_factor(state.stretches, state.cells, state.fit)
+    shared = any(bursts_of(recording).silence_s is not None for recording in state.recordings)
     context.report("done", 1.0)
     return GapReport(
         verdict=said,
-        sentence=_describe(said, effects, doubts, run, state.seen, term),
+        sentence=_describe(said, effects, doubts, run, state.seen, term, shared),
         remainder=remainder,
         global_p=state.first.p,
         alpha=options.alpha,
@@ -269,11 +271,14 @@ def _describe(
     run: FreeRun | None,
     seen: PooledDiagnostics,
     term: tuple[str, float],
+    shared: bool = False,
 ) -> str:
     if said == "unknown":
         text = f"Something is missing that no effect of the library explains: {seen.words}."
         if term[0] and term[1] > TELLING_NATS:
             text += f" Rates that depend on {term[0]} gain {term[1]:.3g} nats on stretches not used to find them."
+        if shared:
+            text += " Bursts show a shared readout, for which all pixels wait; no effect describes it."
         listed = "; ".join(e.name for e in effects)
         return (f"Found on the way: {listed}. " if listed else "") + text
     if said == "ambiguous":  # rounds end with the first doubt: the last one named is in doubt
