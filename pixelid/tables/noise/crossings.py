@@ -78,35 +78,33 @@ def _summed_moments(weights, laws, mean, level, slope, start_gain, end_gain, cro
 
 
 @njit(nogil=True, error_model="numpy")
-def add_sums(into, weights, mean, laws, hidden, before, after, levels, slopes, factors):
-    """Add to into (s, 2 m s) the intensities of crossings over all lags, by level, slope and moment.
+def add_sums(into, weights, mean, laws, hidden, before, after, level, sign, slopes, factors):
+    """Add to into (s, m s) the intensities of crossings of a level over all lags, by slope and moment.
 
     Rows are moments of the start, columns those of the end.
     weights: (lags,);  mean: (2, lags) of output and slope;  laws: `hidden.normal_laws`;  before: (n,) and
-    after: (n, lags) means of the hidden states at start and end;  others as `between_crossings`.
+    after: (n, lags) means of the hidden states at start and end;  sign: of the slopes;  others as `between_crossings`.
     """
     start_gain, end_gain, cross = hidden[0], hidden[1], hidden[2]
-    m, n = len(slopes), len(before)
-    for i in range(2):
-        if not _is_within_reach(mean, laws, levels[i]):
-            continue
-        for j in range(m):
-            slope, first = slopes[j] if i == 0 else -slopes[j], (i * m + j) * (n + 1)
-            if n == 0:
-                into[0, first] += factors[j] * _summed(weights, laws, mean, levels[i], slope)
-            for b in range(n):
-                for e in range(n):
-                    found, by_start, by_end, by_both = _summed_moments(
-                        weights, laws, mean, levels[i], slope, start_gain[b], end_gain[e], cross[e, b], before[b],
-                        after[e],
-                    )  # fmt: skip
-                    if b == 0 and e == 0:
-                        into[0, first] += factors[j] * found
-                    if e == 0:
-                        into[1 + b, first] += factors[j] * by_start
-                    if b == 0:
-                        into[0, first + 1 + e] += factors[j] * by_end
-                    into[1 + b, first + 1 + e] += factors[j] * by_both
+    n = len(before)
+    if not _is_within_reach(mean, laws, level):
+        return
+    for j in range(len(slopes)):
+        slope, first = sign * slopes[j], j * (n + 1)
+        if n == 0:
+            into[0, first] += factors[j] * _summed(weights, laws, mean, level, slope)
+        for b in range(n):
+            for e in range(n):
+                found, by_start, by_end, by_both = _summed_moments(
+                    weights, laws, mean, level, slope, start_gain[b], end_gain[e], cross[e, b], before[b], after[e]
+                )
+                if b == 0 and e == 0:
+                    into[0, first] += factors[j] * found
+                if e == 0:
+                    into[1 + b, first] += factors[j] * by_start
+                if b == 0:
+                    into[0, first + 1 + e] += factors[j] * by_end
+                into[1 + b, first + 1 + e] += factors[j] * by_both
 
 
 @njit(nogil=True, error_model="numpy")
@@ -132,70 +130,94 @@ def add_at_lag(into, weight, t, mean, laws, hidden, before, after, levels, slope
 @njit(nogil=True, error_model="numpy")
 def means_after_crossing(means, hidden, z, w, mean, after):
     """Fill mean (2, lags), of output and slope, and after (n, lags), of the hidden states, a lag after z and w."""
-    for t in range(mean.shape[1]):
-        for r in range(2):
+    for r in range(2):
+        for t in range(mean.shape[1]):
             mean[r, t] = means[r, 0, t] * z + means[r, 1, t] * w
-        for e in range(len(after)):
+    for e in range(len(after)):
+        for t in range(mean.shape[1]):
             after[e, t] = hidden[3][e, 0, t] * z + hidden[3][e, 1, t] * w
 
 
 @njit(nogil=True, error_model="numpy")
 def means_after_reset(maps, spread, tails, hidden, z, w, offset, kept, mean, after):
-    """The same a lag after a reset: see `after_reset`."""
+    """The same a lag after a reset, whose reference `kept` lies `offset` standard deviations from its mean."""
     means_after_crossing(maps, hidden, z, w, mean, after)
-    for t in range(mean.shape[1]):
-        for r in range(2):
+    for r in range(2):
+        for t in range(mean.shape[1]):
             mean[r, t] += spread[r, t] * offset + tails[r, t] * kept
-        for e in range(len(after)):
+    for e in range(len(after)):
+        for t in range(mean.shape[1]):
             after[e, t] += hidden[4][e, t] * offset
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def between_crossings(means, laws, hidden, on, off, slopes, factors, weights, stationary, found):
-    """found (2 m s, 2 m s): ∫ (intensity of crossings of one level and slope, a lag after another) − stationary.
+def between_crossings(means, laws, hidden, up, down, slopes, factors, weights, stationary, found):
+    """found (k, 2 m s, 2 m s): ∫ (intensity of crossings of one level and slope, a lag after another) − stationary.
 
     Per slope there are s moments: 1 and the mean of each hidden state.
     means: (2, 2, lags) of output and slope, per output and slope at lag 0;  laws: (5, lags) `hidden.normal_laws`;
-    hidden: arrays of `hidden.Hidden`;  on, off: the two levels;  slopes: (m,) of nodes;  factors: (m,) what turns a
-    density at a node into an intensity;  weights: (lags,) of the integral;  stationary: (2 m s,).
+    hidden: arrays of `hidden.Hidden`;  up, down: (k,) the two levels;  slopes: (m,) of nodes;  factors: (m,) what
+    turns a density at a node into an intensity;  weights: (lags,) of the integral;  stationary: (k, 2 m s).
     """
     m, n, lags = len(slopes), hidden[0].shape[0], len(weights)
     s = n + 1
-    levels = (on, off)
-    signs = (1.0, -1.0)
     total = weights.sum()
     before, mean, after = np.zeros(n), np.empty((2, lags)), np.empty((n, lags))
-    for i0 in range(2):
-        for j0 in range(m):
-            row = (i0 * m + j0) * s
-            into = found[row : row + s]
-            into[:] = 0.0
-            for i in range(2 * m * s):
-                into[0, i] = -total * stationary[i]
-            means_after_crossing(means, hidden, levels[i0], signs[i0] * slopes[j0], mean, after)
-            add_sums(into, weights, mean, laws, hidden, before, after, levels, slopes, factors)
+    for k in range(len(up)):
+        levels = (up[k], down[k])
+        for i0 in range(2):
+            for j0 in range(m):
+                row = (i0 * m + j0) * s
+                into = found[k, row : row + s]
+                into[:] = 0.0
+                for i in range(2 * m * s):
+                    into[0, i] = -total * stationary[k, i]
+                slope = slopes[j0] if i0 == 0 else -slopes[j0]
+                means_after_crossing(means, hidden, levels[i0], slope, mean, after)
+                for i in range(2):
+                    part = into[:, i * m * s : (i + 1) * m * s]
+                    sign = 1.0 if i == 0 else -1.0
+                    add_sums(part, weights, mean, laws, hidden, before, after, levels[i], sign, slopes, factors)
 
 
-@njit(nogil=True, error_model="numpy")
-def after_reset(
-    maps, spread, tails, laws, hidden, start_spread, z, w, offset, kept, on, off, slopes, factors, weights,
-    stationary, mean, after, found,
+@njit(cache=True, nogil=True, error_model="numpy")
+def after_resets(
+    nodes, slopes, omega, stationary_hz, sigma, factors, weights, maps, spread, tails, laws, hidden, start_spread,
+    reference, reference_sd, offsets, states, sign, thresholds, found,
 ):  # fmt: skip
-    """found (s, 2 m s): ∫ (intensity of crossing i with slope j, a lag after the reset) − stationary.
+    """found (2, k, m, offsets, thresholds, s, m s): ∫ (intensity of crossings by slope, a lag after a reset) − stationary.
 
-    The event was at output z with slope w; the reference that was then stored lies `offset` standard deviations from
-    its mean.  maps: (2, 2, lags) per z and w;  spread: (2, lags) per offset;  tails: (2, lags) per `kept`, the
-    reference;  start_spread: (n,) mean of the hidden states at the event per offset;  mean, after: room for those of
-    `add_sums`;  others as `between_crossings`.
+    By polarity, output and slope of the event, reference that was then stored, and the threshold above (sign 1) or
+    below it (−1) that is crossed.
+    nodes: (k,) outputs at events;  omega: (m,) weights of slopes, stationary_hz: crossings of 0 (Rice);
+    maps: (2, 2, lags) of output and slope per those at the event;  spread: (2, lags) per offset;  tails: (2, lags) per
+    reference;  start_spread: (n,) mean of the hidden states at the event per offset;  reference: (2,) mean of the
+    stored reference per output and slope, reference_sd: its standard deviation;  offsets: nodes of the reference, in
+    these;  states: of `transitions`;  others as `between_crossings`.
     """
-    total = weights.sum()
-    before = start_spread * offset
-    for i in range(len(stationary)):
-        found[0, i] = -total * stationary[i]
-        for b in range(len(before)):
-            found[1 + b, i] = found[0, i] * before[b]
-    means_after_reset(maps, spread, tails, hidden, z, w, offset, kept, mean, after)
-    add_sums(found, weights, mean, laws, hidden, before, after, (on, off), slopes, factors)
+    count, m, n, lags = len(nodes), len(slopes), len(start_spread), len(weights)
+    s, total = n + 1, weights.sum()
+    mean, after = np.empty((2, lags)), np.empty((n, lags))
+    for i0 in range(2):
+        for k0 in range(count):
+            if states[i0, k0] < 0:
+                continue
+            for j0 in range(m):
+                z, w = nodes[k0], slopes[j0] if i0 == 0 else -slopes[j0]
+                for g in range(len(offsets)):
+                    kept = reference[0] * z + reference[1] * w + reference_sd * offsets[g]
+                    kept = min(max(kept, nodes[0]), nodes[count - 1])
+                    means_after_reset(maps, spread, tails, hidden, z, w, offsets[g], kept, mean, after)
+                    before = start_spread * offsets[g]
+                    for c in range(len(thresholds)):
+                        into = found[i0, k0, j0, g, c]
+                        level = kept + sign * thresholds[c]
+                        rice = stationary_hz * math.exp(-0.5 * (level / sigma) ** 2)
+                        for j in range(m):
+                            into[0, j * s] = -total * rice * omega[j]
+                            for b in range(n):
+                                into[1 + b, j * s] = into[0, j * s] * before[b]
+                        add_sums(into, weights, mean, laws, hidden, before, after, level, sign, slopes, factors)
 
 
 @njit(forceinline=True, error_model="numpy")
@@ -216,30 +238,29 @@ def lagrange(p):
 
 
 @njit(forceinline=True, error_model="numpy")
-def _scatter(into, level, pick, each, share, first, step, count):
-    """Add `share` of exits at a level to the states around it.
-
-    pick: index of polarity, slope and moment, of which `each` are of one polarity.
-    """
+def _scatter(into, states, level, shares, weight, first, step, count):
+    """Add to into (…) weight · shares (m s,) of exits at a level, to the states around it; states: (k,) of a polarity."""
     k, p = place(level, first, step, count)
-    weights = lagrange(p)
-    i, j = pick // each, pick % each
-    for q in range(4):
-        into[(i * count + k + q) * each + j] += share * weights[q]
+    line = lagrange(p)
+    for n in range(4):
+        if states[k + n] >= 0:
+            for q in range(len(shares)):
+                into[states[k + n] + q] += weight * line[n] * shares[q]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def exits_long_after(nodes, on, off, moments, stationary, resolvent, drift, exits, times):
+def exits_long_after(nodes, states, on, off, moments, stationary, resolvent, drift, exits, times):
     """Where a pixel exits that has forgotten its last event but its reference, which falls at the rate `drift`.
 
-    nodes: (k,) references;  on, off: thresholds;  moments: s, the first of which is the share itself;
+    nodes: (k,) references;  states: (2, k) of `transitions`;  on, off: thresholds;  moments: s, the first of which is
+    the share itself;
     stationary: (k, 2 m s);  resolvent: (k, 2 m s, 2 m s).
     exits: (k, states) filled with shares of the exit states;  times: (k,) with mean times.
     """
     count, each = len(nodes), stationary.shape[1] // 2
     first, step = nodes[0], nodes[1] - nodes[0]
     rates = np.zeros((2, 2 * each))  # at this reference, and at the one below
-    totals = np.zeros(2)
+    totals, shares = np.zeros(2), np.empty(2 * each)
     for k in range(count):
         totals[1] = totals[0]
         totals[0] = 1e-300
@@ -261,73 +282,75 @@ def exits_long_after(nodes, on, off, moments, stationary, resolvent, drift, exit
                 expected = min(rate * width / drift, 700.0)
                 gone = -still * math.expm1(-expected)  # of a rate lost in rounding the time still passes
                 times[k] += gone / rate
+                level = nodes[k] - u * step
                 for i in range(2 * each):
-                    share = (1.0 - u) * rates[0, i] / totals[0] + u * rates[1, i] / totals[1]
-                    level = nodes[k] - u * step + (on if i < each else -off)
-                    _scatter(exits[k], level, i, each, gone * share, first, step, count)
+                    shares[i] = (1.0 - u) * rates[0, i] / totals[0] + u * rates[1, i] / totals[1]
+                _scatter(exits[k], states[0], level + on, shares[:each], gone, first, step, count)
+                _scatter(exits[k], states[1], level - off, shares[each:], gone, first, step, count)
                 still *= math.exp(-expected)
             times[k] += still * times[k - 1]
             for q in range(exits.shape[1]):
                 exits[k, q] += still * exits[k - 1, q]
         else:
             times[k] = 1.0 / totals[0]
-            for i in range(2 * each):
-                level = nodes[k] + (on if i < each else -off)
-                _scatter(exits[k], level, i, each, rates[0, i] / totals[0], first, step, count)
+            _scatter(exits[k], states[0], nodes[k] + on, rates[0, :each], times[k], first, step, count)
+            _scatter(exits[k], states[1], nodes[k] - off, rates[0, each:], times[k], first, step, count)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def transitions(
-    nodes, slopes, omega, stationary_hz, sigma, factors, weights, maps, spread, tails, laws, hidden,
-    start_spread, reference, reference_sd, offsets, offset_weights, on, off, draw_weights, resolvents, moved, late,
+    nodes, states, slopes, start_spread, reference, reference_sd, offsets, offset_weights, on, off, draw_weights,
+    soon_on, soon_off, at_on, at_off, resolvents, moved, late,
 ):  # fmt: skip
     """The Markov chain of events: moved (states, states) and late (states, draws, k), shares that soon reach the next
     event, and that first forget all but the reference.
 
-    A state is (polarity, level of the output, slope, moment of the hidden states) at an event.  reference: (2,) mean of
-    the stored reference per output and slope, reference_sd: its standard deviation;  offsets: nodes of the reference;
-    on, off, draw_weights: (draws,) pairs of thresholds as they are drawn;  resolvents: (draws, k, 2 m s, 2 m s);
-    others as `after_reset`.
+    A state is (polarity, level of the output, slope, moment of the hidden states) at an event.
+    states: (2, k) first of those of a polarity and level, −1 where there are none;
+    on, off, draw_weights: (draws,) pairs of thresholds as they are drawn;  soon_on, soon_off: of `after_resets`;
+    at_on, at_off: (draws, thresholds) what these contribute to a draw's;  resolvents: (draws, k, 2 m s, 2 m s);
+    others as `after_resets`.
     """
     count, m, s = len(nodes), len(slopes), len(start_spread) + 1
     each = m * s
     first, step = nodes[0], nodes[1] - nodes[0]
-    expected = np.empty((s, 2 * each))
-    mean, after = np.empty((2, len(weights))), np.empty((s - 1, len(weights)))
-    stationary = np.zeros(2 * each)
-    quick = np.empty(2 * each)
+    expected, quick = np.empty((2, each)), np.empty(2 * each)
     for i0 in range(2):
         for k0 in range(count):
+            if states[i0, k0] < 0:
+                continue
             for j0 in range(m):
-                row = ((i0 * count + k0) * m + j0) * s
-                z, w = nodes[k0], slopes[j0] if i0 == 0 else -slopes[j0]
+                row = states[i0, k0] + j0 * s
+                w = slopes[j0] if i0 == 0 else -slopes[j0]
                 for g in range(len(offsets)):
-                    kept = reference[0] * z + reference[1] * w + reference_sd * offsets[g]
+                    kept = reference[0] * nodes[k0] + reference[1] * w + reference_sd * offsets[g]
                     kept = min(max(kept, nodes[0]), nodes[count - 1])
                     k, p = place(kept, first, step, count)
                     line = lagrange(p)
                     for a in range(len(draw_weights)):
                         share = offset_weights[g] * draw_weights[a]
-                        up, down = kept + on[a], kept - off[a]
-                        for j in range(m):
-                            stationary[j * s] = stationary_hz * math.exp(-0.5 * (up / sigma) ** 2) * omega[j]
-                            stationary[each + j * s] = stationary_hz * math.exp(-0.5 * (down / sigma) ** 2) * omega[j]
-                        after_reset(
-                            maps, spread, tails, laws, hidden, start_spread, z, w, offsets[g], kept, up, down,
-                            slopes, factors, weights, stationary, mean, after, expected,
-                        )  # fmt: skip
                         for b in range(s):
+                            expected[:] = 0.0
                             quick[:] = 0.0
+                            for c in range(at_on.shape[1]):
+                                if at_on[a, c] != 0.0:
+                                    for q in range(each):
+                                        expected[0, q] += at_on[a, c] * soon_on[i0, k0, j0, g, c, b, q]
+                            for c in range(at_off.shape[1]):
+                                if at_off[a, c] != 0.0:
+                                    for q in range(each):
+                                        expected[1, q] += at_off[a, c] * soon_off[i0, k0, j0, g, c, b, q]
                             for n in range(4):
                                 for q in range(2 * each):
-                                    part = line[n] * expected[b, q]
+                                    part = line[n] * expected[q // each, q % each]
                                     for i in range(2 * each):
                                         quick[i] += part * resolvents[a, k + n, q, i]
                             left = start_spread[b - 1] * offsets[g] if b else 1.0
                             for i in range(2 * each):
                                 if i % s == 0:
                                     left -= quick[i]
-                                level = up if i < each else down
-                                _scatter(moved[row + b], level, i, each, share * quick[i], first, step, count)
+                            into = moved[row + b]
+                            _scatter(into, states[0], kept + on[a], quick[:each], share, first, step, count)
+                            _scatter(into, states[1], kept - off[a], quick[each:], share, first, step, count)
                             for n in range(4):
                                 late[row + b, a, k + n] += share * left * line[n]

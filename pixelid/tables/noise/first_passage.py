@@ -41,9 +41,19 @@ import numpy as np
 
 from pixelid.stages.circuit import Circuit
 from pixelid.stages.differencing import leaked
-from pixelid.tables.noise.chain import QUIET, chain_of, leak_cycle_s
+from pixelid.tables.noise.chain import (
+    QUIET,
+    Chain,
+    Crossings,
+    Resets,
+    chain_of,
+    drawn_thresholds,
+    fineness,
+    leak_cycle_s,
+    release,
+)
 from pixelid.tables.noise.process import NoiseProcess, noise_process
-from pixelid.tables.noise.quadrature import WHOLE, Resolution, mismatch_draws
+from pixelid.tables.noise.quadrature import ROUGH, WHOLE, Resolution, mismatch_draws
 
 
 @dataclass(frozen=True)
@@ -83,18 +93,49 @@ def noise_rates(circuit: Circuit, radiance: float, floor: float = 0.0) -> NoiseR
 
 def rates_of(process: NoiseProcess, circuit: Circuit, radiance: float, resolution: Resolution = WHOLE) -> NoiseRates:
     """The same of a process that is already there; only thresholds, dead time and leak are read of the circuit."""
-    drift = leak_drift(circuit, radiance)
-    if is_quiet(process, circuit):
-        wait = leak_cycle_s(process, circuit, drift, resolution) if drift > 0 else math.inf
-        return NoiseRates(1.0 / (wait + circuit.refractory), 0.0, wait)
-    chain = chain_of(process, circuit, drift, resolution)
-    share = chain.share
-    wait = float(share @ chain.waited)
-    if wait < 0:  # waits beyond any number's use, of either sign by rounding
-        return NoiseRates(0.0, 0.0, math.inf)
-    rate = 1.0 / (wait + circuit.refractory)
-    on = min(max(float(share[: len(share) // 2 : chain.at.hidden.moments].sum()), 0.0), 1.0)
-    return NoiseRates(rate * on, rate * (1.0 - on), wait)
+    ((on, off),) = rates_of_pixels(process, circuit, np.ones((1, 2)), radiance, resolution)
+    rate = on + off
+    return NoiseRates(on, off, 1.0 / rate - circuit.refractory if rate > 0 else math.inf)
+
+
+def rates_of_pixels(
+    process: NoiseProcess, circuit: Circuit, factors: np.ndarray, radiance: float, resolution: Resolution = WHOLE
+) -> np.ndarray:
+    """(pixels, 2) ON and OFF rates of pixels whose thresholds are `factors` (pixels, 2) times the circuit's.
+
+    What follows a reset soon is computed once for all of them; one or two do with their own.
+    """
+    drift, found = leak_drift(circuit, radiance), np.zeros((len(factors), 2))
+    pixels = [pixel_of(circuit, on, off) for on, off in factors.tolist()]
+    noisy = np.array([not is_quiet(process, pixel) for pixel in pixels], bool)
+    for k in np.flatnonzero(~noisy) if drift > 0 else ():
+        found[k, 0] = 1.0 / (leak_cycle_s(process, pixels[k], drift, resolution) + circuit.refractory)
+    if not noisy.any():
+        return found
+    at = Crossings.of(process, resolution)
+    released = release(at, circuit.refractory)
+    fine = np.array([fineness(pixel, released, process, resolution) for pixel in pixels])
+    if len(pixels) <= 2:
+        shared = [(resolution.spacing_of(fine[k]), np.arange(len(pixels)) == k) for k in range(len(pixels))]
+    else:
+        shared = [(resolution.spacing, 1.0 - fine), (resolution.fine, fine)]
+    for spacing, weight in shared:
+        some = np.flatnonzero(noisy & (weight > 0))
+        if not len(some):
+            continue
+        drawn = [drawn_thresholds(pixels[k]) for k in some]
+        on, off = (np.concatenate([one[side] for one in drawn]) for side in (0, 1))
+        resets = Resets.of(at, released, on, off, drift, spacing)
+        for k in some:
+            found[k] += weight[k] * _of_chain(chain_of(process, pixels[k], drift, resolution, resets), circuit.refractory)
+    return found
+
+
+def _of_chain(chain: Chain, dead_s: float) -> np.ndarray:
+    """(2,) ON and OFF events per second."""
+    if chain.wait_s < 0:  # waits beyond any number's use, of either sign by rounding
+        return np.zeros(2)
+    return np.array([chain.on_share, 1.0 - chain.on_share]) / (chain.wait_s + dead_s)
 
 
 def is_quiet(process: NoiseProcess, circuit: Circuit) -> bool:
@@ -114,14 +155,29 @@ def mean_rates(
     """(ON, OFF) noise events per pixel and second, averaged over pixels whose thresholds differ by the mismatch.
 
     Rates of pixels differ by e^{± b² σ}, b the threshold in standard deviations of the noise: the average is far above
-    the rate of the average pixel.  Arguments and errors as `noise_rates`.
+    the rate of the average pixel.  Each pixel's rate is `ROUGH`, unless its thresholds are so nearly alike that an event
+    brings another; what finer resolution changes of the others is nearly the same for all, and is taken from those
+    that their average ON and OFF event is of.  Arguments and errors as `noise_rates`.
     """
-    on, off = _of_pixels(circuit, radiance, floor, resolution)[1].sum(0)
-    return float(on), float(off)
+    process = noise_process(circuit, radiance, floor)
+    factors, weights, rates = _of_pixels(process, circuit, radiance, resolution)
+    if resolution == ROUGH:
+        return float(weights @ rates[:, 0]), float(weights @ rates[:, 1])
+    released = release(Crossings.of(process, ROUGH), circuit.refractory)
+    alone = len(factors) == 1
+    alike = [alone or fineness(pixel_of(circuit, *f), released, process, resolution) > 0 for f in factors.tolist()]
+    rates[alike] = rates_of_pixels(process, circuit, factors[alike], radiance, resolution)
+    mean, others = weights @ rates, ~np.array(alike)
+    if others.any():
+        some = weights[others, None] * rates[others]
+        typical = _typical(factors[others], some)
+        rough, fine = (rates_of_pixels(process, circuit, typical, radiance, each).diagonal() for each in (ROUGH, resolution))
+        mean += some.sum(0) * (np.divide(fine, rough, out=np.ones(2), where=rough > 0) - 1.0)
+    return float(mean[0]), float(mean[1])
 
 
 def typical_thresholds(
-    circuit: Circuit, radiance: float, floor: float = 0.0, resolution: Resolution = WHOLE
+    circuit: Circuit, radiance: float, floor: float = 0.0, resolution: Resolution = ROUGH
 ) -> np.ndarray:
     """(2, 2) factors on the ON and OFF threshold (columns) of the pixel that the average ON and OFF event (rows) is of.
 
@@ -129,7 +185,12 @@ def typical_thresholds(
     ln mean rate changes with a parameter as the mean of ln rates weighted by pixels' rates does: as that pixel's,
     but for m².  Arguments and errors as `noise_rates`.
     """
-    factors, rates = _of_pixels(circuit, radiance, floor, resolution)
+    factors, weights, rates = _of_pixels(noise_process(circuit, radiance, floor), circuit, radiance, resolution)
+    return _typical(factors, weights[:, None] * rates)
+
+
+def _typical(factors: np.ndarray, rates: np.ndarray) -> np.ndarray:
+    """(2, 2) of pixels (pixels, 2), rates times weights."""
     total = rates.sum(0)[:, None]
     return np.where(total > 0, rates.T @ factors / np.where(total > 0, total, 1.0), 1.0)
 
@@ -138,21 +199,18 @@ def typical_rates(
     circuit: Circuit, radiance: float, thresholds: np.ndarray, floor: float = 0.0, resolution: Resolution = WHOLE
 ) -> tuple[float, float]:
     """(ON, OFF) noise events per second, each of a pixel of its own: thresholds as of `typical_thresholds`."""
-    process = noise_process(circuit, radiance, floor)
-    of_on, of_off = (rates_of(process, pixel_of(circuit, *f), radiance, resolution) for f in thresholds)
-    return of_on.on_hz, of_off.off_hz
+    rates = rates_of_pixels(noise_process(circuit, radiance, floor), circuit, thresholds, radiance, resolution)
+    return float(rates[0, 0]), float(rates[1, 1])
 
 
 def _of_pixels(
-    circuit: Circuit, radiance: float, floor: float, resolution: Resolution
-) -> tuple[np.ndarray, np.ndarray]:
-    """(pixels, 2) factors on their thresholds, and their ON and OFF rates times the pixels' weights."""
-    process = noise_process(circuit, radiance, floor)
+    process: NoiseProcess, circuit: Circuit, radiance: float, resolution: Resolution
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(pixels, 2) factors on their thresholds, (pixels,) their weights, and (pixels, 2) `ROUGH` ON and OFF rates."""
     factors, weights = mismatch_draws(
         circuit.on_threshold, circuit.off_threshold, circuit.mismatch, process.sigma, resolution.pixels
     )
-    rates = [rates_of(process, pixel_of(circuit, *f), radiance, resolution) for f in factors]
-    return factors, weights[:, None] * np.array([[r.on_hz, r.off_hz] for r in rates])
+    return factors, weights, rates_of_pixels(process, circuit, factors, radiance, ROUGH)
 
 
 def pixel_of(circuit: Circuit, on: float, off: float) -> Circuit:

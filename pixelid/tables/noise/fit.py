@@ -29,12 +29,11 @@ from pixelid.model.model import Model
 from pixelid.parameters.parameter import Parameter, log_prior
 from pixelid.tables.fit import FREEDOM, MAX_SCATTER, TableFit, fit_at, fit_table
 from pixelid.tables.model import Rows
-from pixelid.tables.noise.model import BESIDE, FITTED, FLOOR, LEAST_HZ, OFF_BACKGROUND, NoiseModel, in_unit
+from pixelid.tables.noise.model import BESIDE, FITTED, FLOOR, LEAST_HZ, OFF_BACKGROUND, STEP, NoiseModel, in_unit
 from pixelid.tables.noise.quadrature import ROUGH, WHOLE, Resolution
 from pixelid.tables.noise.reading import NoiseTable
 from pixelid.tables.profile import Fallen, follow_profile
 
-STEP = 0.02  # of a coordinate, for central differences
 TRUST = 0.7  # of a coordinate per round: a factor of 2
 LEAST_TRUST = 0.02  # where not even steps of this length win their share, a search ends
 STEPS = 60  # tried, taken or not
@@ -270,7 +269,7 @@ def _promise(
     line: Linearised, noise: NoiseModel, limits: np.ndarray, trust: float, scatter: float | None
 ) -> tuple[TableFit, float, float, np.ndarray]:
     """The linear table's optimum within a trusted step, minus log posterior here, what it promises, and the scales."""
-    fit = fit_table(_within(line, limits, trust), np.exp(line.x0).tolist(), scatter=scatter)
+    fit = fit_table(_within(line, limits, trust), np.exp(line.x0).tolist(), rest=0.1 * REST, scatter=scatter)
     s = np.sqrt(fit.scale**2 + noise.rows.turned_variance)
     here = _misfit(noise, line.level, line.x0, s)
     return fit, here, here - _misfit(noise, np.log(line.predict(fit.x)), fit.x, s), s
@@ -379,15 +378,12 @@ def _linearise(noise: NoiseModel, x: np.ndarray, level: np.ndarray, resolution: 
     parameters, and would promise gains along valleys in which they cancel.  Those along thresholds that are nearly
     alike change by tenths with how pixels differ, for which `ROUGH` will do.
     """
-    typical = noise.of_typical_pixels(x)
-    slopes = np.empty((len(level), len(x)))
-    thresholds = np.array([p.name.endswith("_threshold") for p in noise.parameters]) & noise.nearly_alike(x)
-    for model, some in ((noise, thresholds), (typical, ~thresholds)):
-        if not some.any():
-            continue
-        points = [x + side * STEP * unit for unit in np.eye(len(x))[some] for side in (1.0, -1.0)]
-        logs = np.log(model.predict_many(points, resolution if model is typical else ROUGH))
-        slopes[:, some] = ((logs[0::2] - logs[1::2]) / (2.0 * STEP)).T
+    slopes = noise.of_typical_pixels(x).slopes(x, resolution)
+    if noise.nearly_alike(x) and noise.circuit.has("threshold_mismatch") and noise.typical is None:
+        thresholds = np.array([p.name.endswith("_threshold") for p in noise.parameters])
+        points = [x + side * STEP * unit for unit in np.eye(len(x))[thresholds] for side in (1.0, -1.0)]
+        logs = np.log(noise.predict_many(points, ROUGH))
+        slopes[:, thresholds] = ((logs[0::2] - logs[1::2]) / (2.0 * STEP)).T
     return Linearised(noise.rows, noise.parameters, noise.nuisances, noise.neutral_bounds, x, level, slopes)
 
 

@@ -73,7 +73,7 @@ def mean_intervals(circuit: Circuit, radiance: float, edges_s: np.ndarray, floor
         if is_quiet(process, one):
             return None if leaks else np.zeros((2, 2, len(edges_s)))
         chain = chain_of(process, one, leak_drift(one, radiance), ROUGH)
-        wait = float(chain.share @ chain.waited)
+        wait = chain.wait_s
         if wait < 0:  # beyond any number's use (`first_passage.rates_of`)
             return np.zeros((2, 2, len(edges_s)))
         return intervals_of(chain, one.refractory).within(np.maximum(edges_s, one.refractory)) / (wait + one.refractory)
@@ -89,24 +89,24 @@ def intervals_of(chain: Chain, dead_s: float) -> NoiseIntervals:
     """The same of a chain that is already there."""
     from pixelid.tables.noise import passages
 
-    c, at, r = chain, chain.at, chain.release
+    c, at, r = chain, chain.resets.at, chain.resets.release
     lags = at.process.lags
     known = int(np.searchsorted(lags, lags[-1] * FORGOTTEN / LAST_LAG)) + 1
     lags = lags[:known]
     draws, count, size = c.stationary.shape
     crossed, begun = np.zeros((2, draws, count, len(lags), size)), np.zeros((2, draws, count))
     passages.crossings_after_events(
-        c.share, c.nodes, at.slopes, at.factors, r.maps[..., :known], r.spread, r.tails, r.laws,
-        r.hidden.arrays, r.start_spread, r.reference, r.sd, c.offsets, c.offset_weights, c.on, c.off, c.draw_weights,
+        c.share, c.resets.states, c.resets.nodes, at.slopes, at.factors, r.maps[..., :known], r.spread, r.tails, r.laws,
+        r.hidden.arrays, r.start_spread, r.reference, r.sd, c.resets.offsets, c.resets.offset_weights, c.on, c.off, c.draw_weights,
         crossed, begun,
     )  # fmt: skip
     rates = _by_polarity(np.einsum("akq,akqi->aki", c.stationary, c.resolvents), at.hidden.moments)
     rates = np.maximum(rates, 1e-300)
-    late = np.geomspace(lags[-1], max(LONGEST * float(c.share @ c.waited), 2.0 * lags[-1]), LATE + 1)
+    late = np.geomspace(lags[-1], max(LONGEST * c.wait_s, 2.0 * lags[-1]), LATE + 1)
     passed = np.zeros((2, 2, len(lags) + LATE))
     between = np.empty((len(lags), size, size))
     for a in range(draws):
-        for k, reference in enumerate(c.nodes):
+        for k, reference in enumerate(c.resets.nodes):
             source = np.ascontiguousarray(crossed[:, a, k])
             if np.abs(begun[:, a, k]).max() < 1e-9:
                 continue
@@ -119,7 +119,7 @@ def intervals_of(chain: Chain, dead_s: float) -> NoiseIntervals:
             quick = _by_polarity(quick, at.hidden.moments)
             passed[:, :, : len(lags)] += quick.swapaxes(1, 2)
             left = begun[:, a, k] - quick[:, -1].sum(-1)
-            gone = _waiting(c.nodes, rates[a], k, c.drift, late)
+            gone = _waiting(c.resets.nodes, rates[a], k, c.drift, late)
             passed[:, :, len(lags) :] += quick[:, -1, :, None] + left[:, None, None] * gone[None, :, 1:]
     return NoiseIntervals(np.append(lags, late[1:]), np.maximum.accumulate(passed, axis=2), dead_s)
 

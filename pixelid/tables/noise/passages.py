@@ -12,12 +12,12 @@ from pixelid.tables.noise.crossings import add_at_lag, lagrange, means_after_cro
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def crossings_after_events(
-    share, nodes, slopes, factors, maps, spread, tails, laws, hidden, start_spread, reference, reference_sd,
+    share, states, nodes, slopes, factors, maps, spread, tails, laws, hidden, start_spread, reference, reference_sd,
     offsets, offset_weights, on, off, draw_weights, crossed, begun,
 ):  # fmt: skip
     """crossed (2, draws, k, lags, 2 m s): intensities after an ON or OFF event, by reference;  begun: their mass.
 
-    share: (states,) of the events;  others as `crossings.transitions`.
+    share: (states,) of the events;  states: (2, k);  others as `crossings.transitions`.
     """
     count, m, h, lags = len(nodes), len(slopes), len(start_spread), maps.shape[2]
     s = h + 1
@@ -26,8 +26,10 @@ def crossings_after_events(
     mean, after, found = np.empty((2, lags)), np.empty((h, lags)), np.empty((s, 2 * m * s))
     for i0 in range(2):
         for k0 in range(count):
+            if states[i0, k0] < 0:
+                continue
             for j0 in range(m):
-                row = ((i0 * count + k0) * m + j0) * s
+                row = states[i0, k0] + j0 * s
                 if abs(share[row]) < 1e-9:
                     continue
                 z, w = nodes[k0], signs[i0] * slopes[j0]

@@ -22,9 +22,10 @@ from pixelid.dynamics.slew import slews
 from pixelid.errors import InputError
 from pixelid.stages.circuit import Circuit
 
-PER_OCTAVE = 5  # lags; 8 change rates by less than 0.3 %
+PER_OCTAVE = 5  # lags; 8 change rates by less than 0.3 %, but 4 by up to 9 %
 FIRST_LAG = 0.02  # of the time in which a slope is lost: crossings come back far later
-LAST_LAG = 30.0  # of the slowest time constant: e⁻³⁰ is left of what was
+LANES = 8  # lags that compiled sums take at once: further ones cost more than the next whole number of these
+LAST_LAG = 12.0  # at least of the slowest time constant: in 40 circuits 10 and 30 give the same rates to 1e-4
 
 
 @dataclass(frozen=True)
@@ -99,14 +100,15 @@ class NoiseProcess:
         slope_time = self.slope_sigma / math.sqrt(curvature @ self.P @ curvature)
         slowest = 1.0 / float(np.min(-np.linalg.eigvals(self.A).real))
         octaves = math.log2(LAST_LAG * slowest / (FIRST_LAG * slope_time))
-        return FIRST_LAG * slope_time * 2.0 ** (np.arange(math.ceil(PER_OCTAVE * octaves) + 1) / PER_OCTAVE)
+        count = LANES * math.ceil((PER_OCTAVE * octaves + 1) / LANES)
+        return FIRST_LAG * slope_time * 2.0 ** (np.arange(count) / PER_OCTAVE)
 
     @cached_property
     def propagators(self) -> np.ndarray:
         """(lags, n, n) e^{A lag}: those of the first octave by Padé, each further octave by squaring."""
         from scipy.linalg import expm
 
-        found = [expm(self.A * lag) for lag in self.lags[:PER_OCTAVE]]
+        found = list(expm(self.A * self.lags[:PER_OCTAVE, None, None]))
         while len(found) < len(self.lags):
             found += [E @ E for E in found[-PER_OCTAVE:]]
         return np.array(found[: len(self.lags)])
