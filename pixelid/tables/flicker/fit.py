@@ -56,9 +56,9 @@ class Group:
 class FlickerFit:
     """A finished fit.
 
-    lock: onto the light's frequency;  groups: with enough events, by location;  shapes: waveform → total log-likelihood;
-    gains: waveform → nats by which it explains the groups better than the first, dispersion allowed for, less a price per
-    number of its own;  shape: the best of them;  pulses: the groups as pulses behind one pole;
+    lock: onto the light's frequency;  groups: with enough events, by location;
+    shapes: waveform → total log-likelihood;  gains: of `waveform_gains`;
+    shape: the best of them;  pulses: the groups as pulses behind one pole;
     memory_gain: nats by which a reference that fades beats one that does not;
     free, equal: what the data fix of a circuit, contrasts free or known to be equal
     """
@@ -103,9 +103,9 @@ class FlickerFit:
             named = "; ".join(f"{g.column}, {g.row}: {g.fit.dispersion:.1f}" for g in poor[:3])
             more = f"; and {len(poor) - 3} more" if len(poor) > 3 else ""
             verdicts[Status.misfit] = (
-                f"Poor fit in {len(poor)} of {len(self.groups)} groups, with {share:.0%} of the events (scatter × Poisson "
-                f"in group {named}{more}): their pixels differ, or something moves: use smaller groups, and check "
-                "--frequency."
+                f"Poor fit in {len(poor)} of {len(self.groups)} groups, with {share:.0%} of the events (scatter over "
+                f"Poisson's in group {named}{more}): their pixels differ, or something moves. Use smaller groups, and "
+                "check --frequency."
             )
         stuck = [
             f"group {g.column}, {g.row}: {', '.join(names)}" for g in self.groups if (names := g.fit.ratios_at_bound)
@@ -118,7 +118,8 @@ class FlickerFit:
         if not self.known:
             verdicts[Status.not_identified] = "No group of pixels is locked to the light: check --frequency."
         status = Status.worst(verdicts)
-        return status, verdicts.get(status, "")
+        stated = dict.fromkeys((status, Status.misfit))  # a poor fit is stated whatever else is wrong
+        return status, " ".join(verdicts[one] for one in stated if one in verdicts)
 
 
 def fit_flicker(
@@ -163,6 +164,7 @@ def fit_flicker(
                 tables[c, r] = table
     if not tables:
         raise InputError(f"{recording.name}: no group of pixels has {LEAST_EVENTS} events in quiet light")
+
     def fitted(waveform: Waveform, begin: Callable[[GroupFit], list[np.ndarray]], of: Fits, share: float) -> Fits:
         found = {}
         for j, (where, table) in enumerate(tables.items()):
@@ -177,7 +179,9 @@ def fit_flicker(
     closest, gained = _likeliest(fits), -np.inf
     for order in HARMONICS:
         free, of = harmonics(order), fits[closest]
-        fits[free.name] = fitted(free, lambda fit, order=order: [_free_start(fit, order)], of, 0.1 + 0.8 * len(fits) / 8)
+        fits[free.name] = fitted(
+            free, lambda fit, order=order: [_free_start(fit, order)], of, 0.1 + 0.8 * len(fits) / 8
+        )
         if waveform_gains(fits)[free.name] <= gained:
             break
         gained = waveform_gains(fits)[free.name]

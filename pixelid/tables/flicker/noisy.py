@@ -70,8 +70,8 @@ def rates(x: np.ndarray, waveform: Waveform, bins: int = BINS) -> tuple[np.ndarr
 
 @dataclass(frozen=True)
 class GroupFit:
-    """waveform: of the light;  x: coordinates in the order of `NAMES`, and the waveform's numbers;  information: Fisher,
-    already divided by the dispersion;  log_likelihood, dispersion, converged; expected: (2, BINS) counts by phase now
+    """waveform: of the light;  x: coordinates in the order of `NAMES`, then its numbers;  information: Fisher, already
+    divided by the dispersion;  log_likelihood, dispersion, converged; expected: (2, BINS) counts by phase now
     """
 
     waveform: Waveform

@@ -164,8 +164,8 @@ def disagreements(fit: FlickerFit) -> list[str]:
     order = sorted(fit.gains, key=lambda s: -fit.gains[s])
     behind = [f"{s!r} is {fit.gains[order[0]] - fit.gains[s]:.0f} nats worse" for s in order[1:]]
     sentences.append(
-        f"the light looks like {order[0]!r}: {', '.join(behind)} (over {len(fit.groups)} groups, scatter and a price per "
-        "number of a waveform allowed for)"
+        f"the light looks like {order[0]!r}: {', '.join(behind)} (over {len(fit.groups)} groups, scatter and a price "
+        "per number of a waveform allowed for)"
     )
     found = pulse(fit)
     if found and order[0] not in ("sine", "deep sine", "rectified"):

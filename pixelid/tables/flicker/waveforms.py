@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 FINE = 1024  # places in a period
-HARMONICS = (2, 4, 8, 16)  # tried in turn, as long as each explains more than its numbers cost
+HARMONICS = (2, 4, 8)  # tried in turn, as long as each explains more than its numbers cost
 LARGEST = 5.0  # of a harmonic over the fundamental: pulses far narrower than a hundredth of the period have less
 STEP = 1e-4  # for derivatives by the numbers of a waveform
 _THETA = 2.0 * np.pi * np.arange(FINE) / FINE

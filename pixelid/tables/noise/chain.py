@@ -160,7 +160,7 @@ class Resets:
         from pixelid.tables.noise import crossings
 
         p = at.process
-        offsets, offset_weights = offset_nodes(released.sd / p.sigma, at.resolution.offsets)
+        offsets, offset_weights = offset_nodes(released.sd / p.sigma)
         # an OFF threshold that is never reached needs no references; an ON threshold may be reached by leak alone
         never, margin = (QUIET + 1.0) * p.sigma, MARGIN * p.sigma
         reach = max(on.max() if drift > 0 else min(on.max(), never), min(off.max(), never)) + margin

@@ -185,7 +185,7 @@ def after_resets(
     nodes, slopes, omega, stationary_hz, sigma, factors, weights, maps, spread, tails, laws, hidden, start_spread,
     reference, reference_sd, offsets, states, sign, thresholds, found,
 ):  # fmt: skip
-    """found (2, k, m, offsets, thresholds, s, m s): ∫ (intensity of crossings by slope, a lag after a reset) − stationary.
+    """found (2, k, m, offsets, thresholds, s, m s): ∫ (intensity of crossings a lag after a reset) − stationary.
 
     By polarity, output and slope of the event, reference that was then stored, and the threshold above (sign 1) or
     below it (−1) that is crossed.
@@ -239,7 +239,7 @@ def lagrange(p):
 
 @njit(forceinline=True, error_model="numpy")
 def _scatter(into, states, level, shares, weight, first, step, count):
-    """Add to into (…) weight · shares (m s,) of exits at a level, to the states around it; states: (k,) of a polarity."""
+    """Add to into (…) weight · shares (m s,) of exits at a level, to the states around it; states: (k,)."""
     k, p = place(level, first, step, count)
     line = lagrange(p)
     for n in range(4):

@@ -127,7 +127,9 @@ def rates_of_pixels(
         on, off = (np.concatenate([one[side] for one in drawn]) for side in (0, 1))
         resets = Resets.of(at, released, on, off, drift, spacing)
         for k in some:
-            found[k] += weight[k] * _of_chain(chain_of(process, pixels[k], drift, resolution, resets), circuit.refractory)
+            found[k] += weight[k] * _of_chain(
+                chain_of(process, pixels[k], drift, resolution, resets), circuit.refractory
+            )
     return found
 
 
@@ -155,9 +157,9 @@ def mean_rates(
     """(ON, OFF) noise events per pixel and second, averaged over pixels whose thresholds differ by the mismatch.
 
     Rates of pixels differ by e^{± b² σ}, b the threshold in standard deviations of the noise: the average is far above
-    the rate of the average pixel.  Each pixel's rate is `ROUGH`, unless its thresholds are so nearly alike that an event
-    brings another; what finer resolution changes of the others is nearly the same for all, and is taken from those
-    that their average ON and OFF event is of.  Arguments and errors as `noise_rates`.
+    the rate of the average pixel.  Each pixel's rate is `ROUGH`, unless its thresholds are so nearly alike that an
+    event brings another; what finer resolution changes of the others is nearly the same for all, and is taken from
+    those that their average ON and OFF event is of.  Arguments and errors as `noise_rates`.
     """
     process = noise_process(circuit, radiance, floor)
     factors, weights, rates = _of_pixels(process, circuit, radiance, resolution)
@@ -171,7 +173,9 @@ def mean_rates(
     if others.any():
         some = weights[others, None] * rates[others]
         typical = _typical(factors[others], some)
-        rough, fine = (rates_of_pixels(process, circuit, typical, radiance, each).diagonal() for each in (ROUGH, resolution))
+        rough, fine = (
+            rates_of_pixels(process, circuit, typical, radiance, each).diagonal() for each in (ROUGH, resolution)
+        )
         mean += some.sum(0) * (np.divide(fine, rough, out=np.ones(2), where=rough > 0) - 1.0)
     return float(mean[0]), float(mean[1])
 

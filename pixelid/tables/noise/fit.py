@@ -269,7 +269,7 @@ def _promise(
     line: Linearised, noise: NoiseModel, limits: np.ndarray, trust: float, scatter: float | None
 ) -> tuple[TableFit, float, float, np.ndarray]:
     """The linear table's optimum within a trusted step, minus log posterior here, what it promises, and the scales."""
-    fit = fit_table(_within(line, limits, trust), np.exp(line.x0).tolist(), rest=0.1 * REST, scatter=scatter)
+    fit = fit_table(_within(line, limits, trust), np.exp(line.x0).tolist(), scatter=scatter)
     s = np.sqrt(fit.scale**2 + noise.rows.turned_variance)
     here = _misfit(noise, line.level, line.x0, s)
     return fit, here, here - _misfit(noise, np.log(line.predict(fit.x)), fit.x, s), s

@@ -97,8 +97,8 @@ def intervals_of(chain: Chain, dead_s: float) -> NoiseIntervals:
     crossed, begun = np.zeros((2, draws, count, len(lags), size)), np.zeros((2, draws, count))
     passages.crossings_after_events(
         c.share, c.resets.states, c.resets.nodes, at.slopes, at.factors, r.maps[..., :known], r.spread, r.tails, r.laws,
-        r.hidden.arrays, r.start_spread, r.reference, r.sd, c.resets.offsets, c.resets.offset_weights, c.on, c.off, c.draw_weights,
-        crossed, begun,
+        r.hidden.arrays, r.start_spread, r.reference, r.sd, c.resets.offsets, c.resets.offset_weights, c.on, c.off,
+        c.draw_weights, crossed, begun,
     )  # fmt: skip
     rates = _by_polarity(np.einsum("akq,akqi->aki", c.stationary, c.resolvents), at.hidden.moments)
     rates = np.maximum(rates, 1e-300)

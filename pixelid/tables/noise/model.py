@@ -19,7 +19,7 @@ from pixelid.stages.circuit import Circuit
 from pixelid.stages.described import power_of_radiance
 from pixelid.tables.model import Rows
 from pixelid.tables.noise.first_passage import mean_rates, typical_rates, typical_thresholds
-from pixelid.tables.noise.quadrature import ROUGH, WHOLE, Resolution
+from pixelid.tables.noise.quadrature import WHOLE, Resolution
 from pixelid.tables.noise.reading import NoiseTable
 
 FLOOR = Parameter("noise_floor.density", 1e-9, "1/Hz", 1e-14, 1e-2, "log")  # white noise whatever the light
@@ -30,10 +30,10 @@ BESIDE = {p.name: p for p in (FLOOR, OFF_BACKGROUND)}  # what a table of a senso
 # 555 nm.  It only sets the noise density that thresholds are stated for; thresholds go with 1/√ of it.
 FA_PER_LUX = 7.7
 FA_PER_UNIT = {"fA": 1.0, "lux": FA_PER_LUX, "W/m2": 683.0 * FA_PER_LUX}
-# Lights that are computed: all, or, where more, at least so many and `Resolution.lights` per decade.  Between them ln rate is a
+# Lights that are computed: all, or, where more, at least so many and so many per decade.  Between them ln rate is a
 # monotone cubic in ln light (Fritsch & Carlson 1980, SIAM J. Numer. Anal. 17, 238), which makes no waves where rates
 # fall off a cliff.
-MOST_LIGHTS = 16
+MOST_LIGHTS, PER_DECADE = 16, 10
 FITTED = ("alpha", "beta", "gamma", "alpha_over_beta", "sf_cutoff_hz", "on_threshold", "off_threshold", "refractory_s",
           "dark_current.radiance", "leak.rate_hz", "parasitic_photocurrent.rate_hz_per_radiance")  # fmt: skip
 # Standard deviations of ln: a sensor of the same kind differs by a factor of 3 from nominal values …
@@ -45,7 +45,7 @@ WIDE = ("alpha", "gamma", "alpha_over_beta", "dark_current.radiance", "leak.rate
 # ln of ON over OFF threshold beyond which no pixel is near the maximum of equal ones: its width, some tenths of a
 # standard deviation of noise at thresholds of four of these, and so many standard deviations of mismatch
 LEAST_APART, MANY_SD = 0.1, 3.0
-STEP, ONE_SIDED = 0.01, 0.003  # of a coordinate, for differences
+STEP = 0.02  # of a coordinate, for differences
 HELD = 1e-6  # relative width of what is held
 LEAST_HZ = 1e-12  # of a predicted rate: its logarithm must exist
 
@@ -122,7 +122,7 @@ class NoiseModel:
         if self.typical is not None or not self.circuit.has("threshold_mismatch"):
             return self
         values = self._values(x)
-        lights, _ = self._lights(values, ROUGH)
+        lights, _ = self._lights(values)
         circuit, floor = self._circuit(values), values.get(FLOOR.name, self.beside.get(FLOOR.name, 0.0))
         thresholds = map_threads(lambda light: typical_thresholds(circuit, light, floor), lights)
         return replace(self, typical=(lights, np.array(thresholds)))
@@ -153,7 +153,7 @@ class NoiseModel:
     def predict_many(self, points: Sequence[np.ndarray], resolution: Resolution = WHOLE) -> list[np.ndarray]:
         """The same at several coordinates, on all cores."""
         values = [self._values(x) for x in points]
-        asked = [self._lights(v, resolution) for v in values]
+        asked = [self._lights(v) for v in values]
         jobs = [(v, light) for v, (lights, _) in zip(values, asked, strict=True) for light in lights]
         rates = iter(map_threads(lambda job: self.rates(*job, resolution), jobs))
         return [self._at_rows(lights, np.array([next(rates) for _ in lights]), scaled) for lights, scaled in asked]
@@ -174,25 +174,20 @@ class NoiseModel:
     def slopes(self, x: np.ndarray, resolution: Resolution) -> np.ndarray:
         """(rows, parameters) derivatives of ln rate by the coordinates.
 
-        Thresholds are differenced to both sides, as rates go with their squares, the others to one.  Events whatever
-        the light add to the rate.  A floor raises the noise's variance, which only thresholds are compared with: where
-        it is a share f of the noise, −f/2 of both thresholds' slopes together.
+        Differences to both sides; but events whatever the light add to the rate, and a floor raises the noise's
+        variance, which only thresholds are compared with: where it is a share f of the noise, its slope is −f/2 of both
+        thresholds' slopes together.
         """
         names = [p.name for p in self.parameters]
-        steps = {n: STEP if n.endswith("_threshold") else ONE_SIDED for n in names if n not in BESIDE}
-        both = [name for name, step in steps.items() if step == STEP]
-        units = dict(zip(names, np.eye(len(x)), strict=True))
-        points = [x, *(x + h * units[n] for n, h in steps.items()), *(x - steps[n] * units[n] for n in both)]
-        found = self.predict_many(points, resolution)
-        rate, of = found[0], dict(zip([*steps, *(f"{n} below" for n in both)], np.log(found[1:]), strict=True))
-        slope = {
-            n: (of[n] - of[f"{n} below"]) / (2.0 * h) if n in both else (of[n] - np.log(rate)) / h
-            for n, h in steps.items()
-        }
+        steps = {n: STEP * unit for n, unit in zip(names, np.eye(len(x)), strict=True) if n not in BESIDE}
+        points = [x, *(x + side * step for step in steps.values() for side in (1.0, -1.0))]
+        rate, *found = self.predict_many(points, resolution)
+        above, below = np.log(found[0::2]), np.log(found[1::2])
+        slope = dict(zip(steps, (above - below) / (2.0 * STEP), strict=True))
         values = self._values(x)
         if FLOOR.name in names:
             circuit, floor = self._circuit(values), values[FLOOR.name]
-            light = self._lights(values, resolution)[1] + circuit.dark
+            light = self._lights(values)[1] + circuit.dark
             share = floor / (circuit.shot_density / light + floor)
             slope[FLOOR.name] = -0.5 * share * (slope["on_threshold"] + slope["off_threshold"])
             slope[OFF_BACKGROUND.name] = values[OFF_BACKGROUND.name] * ~self.table.on / rate
@@ -204,14 +199,14 @@ class NoiseModel:
     def _circuit(self, values: Mapping[str, float]) -> Circuit:
         return self.circuit.circuit({name: v for name, v in values.items() if name in self.circuit.parameters})
 
-    def _lights(self, values: Mapping[str, float], resolution: Resolution) -> tuple[np.ndarray, np.ndarray]:
+    def _lights(self, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
         """(lights to compute, (rows,) light of each row after its table's scale)."""
         scale = np.ones(len(self.table.light))
         for group in self._scaled:
             scale[self.table.group == group] = values[f"light_scale[{group}]"]
         scaled = self.table.light * scale
         lights = np.unique(scaled)
-        enough = max(MOST_LIGHTS, math.ceil(resolution.lights * math.log10(lights[-1] / lights[0])) + 1)
+        enough = max(MOST_LIGHTS, math.ceil(PER_DECADE * math.log10(lights[-1] / lights[0])) + 1)
         if len(lights) > enough:
             lights = np.geomspace(lights[0], lights[-1], enough)
         return lights, scaled

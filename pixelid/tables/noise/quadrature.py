@@ -8,6 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
+GRID = 0.3  # of the stored reference, in standard deviations of the output: e⁻⁸ at thresholds of 4
 # Relative spread of thresholds: rates go as e^{b² x} with a change x, and at b = 4 and x = 5 % three nodes err by 2 %
 NARROW = 0.05
 # Of pixels whose thresholds differ: nodes of the difference lie `RIDGE` apart (standard deviations of the output) where
@@ -27,8 +28,6 @@ class Resolution:
             hardly moves the reference.
         least_hidden: share of the greatest variance of a hidden state from which on it is followed.
         pixels: how far apart thresholds of pixels are taken that differ, in what `mismatch_draws` takes.
-        lights: per decade, where a table has more.
-        offsets: spacing of the stored reference, in standard deviations of the output, see `offset_nodes`.
     """
 
     slopes: int
@@ -36,8 +35,6 @@ class Resolution:
     fine: float
     least_hidden: float
     pixels: float
-    lights: int
-    offsets: float
 
     def spacing_of(self, fineness: float) -> float:
         """Of references, where they must be as fine (0 … 1)."""
@@ -46,26 +43,21 @@ class Resolution:
 
 # Finer references change rates by 0.8 % at most (by 3 % where thresholds are alike), further slopes and hidden states
 # by 0.5 %
-WHOLE = Resolution(slopes=4, spacing=0.2, fine=0.1, least_hidden=1e-3, pixels=1.0, lights=10, offsets=0.3)
-# For derivatives of ln rate and for where a search begins: a pixel's rates within 3 % (90 % of 72 cases), means of pixels
-# that differ within 0.5 % of those of nodes twice as dense (ratios of thresholds from 0.9 to 1.2; of 2.5 within 1.2 %)
-ROUGH = Resolution(slopes=3, spacing=0.3, fine=0.15, least_hidden=math.inf, pixels=2.0, lights=6, offsets=0.4)
+WHOLE = Resolution(slopes=4, spacing=0.2, fine=0.1, least_hidden=1e-3, pixels=1.0)
+# For derivatives of ln rate and for where a search begins: a pixel's rates within 3 % (90 % of 72 cases), means of
+# pixels that differ within 0.5 % of those of nodes twice as dense (39 cases with threshold noise of 4 %)
+ROUGH = Resolution(slopes=3, spacing=0.3, fine=0.15, least_hidden=math.inf, pixels=2.0)
 
 
-def offset_nodes(relative_sd: float, grid: float) -> tuple[np.ndarray, np.ndarray]:
+def offset_nodes(relative_sd: float) -> tuple[np.ndarray, np.ndarray]:
     """Nodes and weights of the stored reference, a normal draw of so many standard deviations of the output.
 
     The mean wait is about 1 / (e^{−(C + c)²/2σ²} + e^{−(C − c)²/2σ²}) of the reference c, which has poles at
-    c = ± iπσ²/2C: a uniform grid of spacing h errs by e^{−π²σ²/hC}, e⁻⁸ at 0.3 and thresholds of 4; polynomials need a
-    narrow draw.
-
-    Args:
-        relative_sd: of the reference.
-        grid: its spacing.
+    c = ± iπσ²/2C: a uniform grid of spacing h errs by e^{−π²σ²/hC}, polynomials need a narrow draw.
     """
     if relative_sd < 0.25:
         return hermite(1 if relative_sd < 1e-3 else 3 if relative_sd < 0.08 else 5)
-    spacing = min(grid / relative_sd, 0.6)
+    spacing = min(GRID / relative_sd, 0.6)
     nodes = spacing * np.arange(-math.ceil(4.5 / spacing), math.ceil(4.5 / spacing) + 1)
     weights = np.exp(-0.5 * nodes**2)
     return nodes, weights / weights.sum()
