@@ -1,15 +1,15 @@
 """Fit noise rates: the shared regression of tables on ever new linearisations of ln rate.
 
-A prediction costs ten milliseconds per light (a tenth of a second where pixels differ), and ln rate is nearly linear in the
-fit's logarithmic coordinates.  So slopes are differences once, `fit_table` finds the optimum of the linear table within
+A prediction costs ten milliseconds per light (a tenth of a second where pixels differ), and ln rate is nearly linear in
+the fit's logarithmic coordinates.  So slopes are differences once, `fit_table` finds the optimum of the linear table within
 `TRUST`, and the table itself says whether it is then better described, as the linear one promised.  Slopes follow each
 step by the secant (Broyden 1965, Math. Comp. 19, 577); where they promise too much they are differences again, and
 where those do the step is halved.  Rest is judged by differences.  What is reported is the best place visited, with
 errors of its own linearisation.
 
 Three searches by `ROUGH` rates of pixels that do not differ come near; the best goes on with what the model has of
-mismatch.  `WHOLE` rates, several times dearer, are taken where that came to rest: what they differ by is added to the rough
-ones, and the search goes on until it stays where it is (Alexandrov & Lewis 2001, Optim. Eng. 2, 413).  Where no
+mismatch.  `WHOLE` rates, several times dearer, are taken where that came to rest: what they differ by is added to the
+rough ones, and the search goes on until it stays where it is (Alexandrov & Lewis 2001, Optim. Eng. 2, 413).  Where no
 pixel's thresholds are alike, rough rates are those of typical pixels, and pixels that differ are in what is added
 only.  Priors lie around the model's values, wherever a search begins.  Errors of recordings follow profiles.
 """
