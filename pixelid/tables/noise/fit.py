@@ -1,7 +1,7 @@
 """Fit noise rates: the shared regression of tables on ever new linearisations of ln rate.
 
 A prediction costs ten milliseconds per light (a tenth of a second where pixels differ), and ln rate is nearly linear in
-the fit's logarithmic coordinates.  So slopes are differences once, `fit_table` finds the optimum of the linear table within
+the fit's logarithmic coordinates.  So slopes are differences once, `fit_table` finds the linear table's optimum within
 `TRUST`, and the table itself says whether it is then better described, as the linear one promised.  Slopes follow each
 step by the secant (Broyden 1965, Math. Comp. 19, 577); where they promise too much they are differences again, and
 where those do the step is halved.  Rest is judged by differences.  What is reported is the best place visited, with
