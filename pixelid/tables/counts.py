@@ -11,11 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-STEP = 1e-4  # of a coordinate, for central differences
 MIN_GAIN_NATS = 1e-6
 MAX_SLOPE_SIGMAS = 0.5  # of what is left of the gradient where no step gains any more
 
-Rates = Callable[[np.ndarray], np.ndarray]
+Rates = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]  # (cells) rates, and (coordinates, cells) derivatives
 
 
 @dataclass(frozen=True)
@@ -27,22 +26,15 @@ class Maximum:
     converged: bool
 
 
-def log_likelihood(x: np.ndarray, rates: Rates, counts: np.ndarray, exposure: np.ndarray) -> float:
+def log_likelihood(rate: np.ndarray, counts: np.ndarray, exposure: np.ndarray) -> float:
     """Poisson log-likelihood of counts, without the factorials."""
-    rate = rates(x)
     return float((counts * np.log(rate)).sum() - (rate * exposure).sum())
 
 
-def slopes(x: np.ndarray, rates: Rates) -> np.ndarray:
-    """(coordinates, …) derivatives of the rates."""
-    return np.stack([(rates(x + d) - rates(x - d)) / (2 * STEP) for d in STEP * np.eye(len(x))])
-
-
-def information(x: np.ndarray, rates: Rates, exposure: np.ndarray) -> np.ndarray:
-    """(coordinates, coordinates) Fisher information."""
-    J = slopes(x, rates)
-    J, weighted = J.reshape(len(x), -1), (J * exposure / rates(x)).reshape(len(x), -1)
-    return J @ weighted.T
+def information(rate: np.ndarray, slopes: np.ndarray, exposure: np.ndarray) -> np.ndarray:
+    """(coordinates, coordinates) Fisher information of rates and their derivatives."""
+    J = slopes.reshape(len(slopes), -1)
+    return J @ (slopes * exposure / rate).reshape(len(slopes), -1).T
 
 
 def maximise(
@@ -57,7 +49,7 @@ def maximise(
 
     Args:
         x: (coordinates,) start inside the bounds.
-        rates: coordinates → rates per cell.
+        rates: coordinates → rates per cell, and their derivatives.
         counts: events of the cells, broadcasting with the rates.
         exposure: seconds of the cells, broadcasting with the rates.
         bounds: lower and upper; equal ones hold a coordinate.
@@ -65,26 +57,26 @@ def maximise(
     """
     lower, upper = bounds
     cells = tuple(range(1, counts.ndim + 1))
-    value, damping = log_likelihood(x, rates, counts, exposure), 1e-2
+    (rate, J), damping = rates(x), 1e-2
+    value = log_likelihood(rate, counts, exposure)
     for _ in range(steps):
-        rate, J = rates(x), slopes(x, rates)
         gradient = (J * (counts / rate - exposure)).sum(cells)
         free = ~(((x <= lower) & (gradient <= 0)) | ((x >= upper) & (gradient >= 0)) | (lower == upper))
-        flat = J.reshape(len(x), -1)
-        H = (flat @ (J * exposure / rate).reshape(len(x), -1).T)[np.ix_(free, free)]
+        H = information(rate, J[free], exposure)
         move = np.zeros(len(x))
         while damping < 1e10:
             step = np.linalg.solve(H + damping * np.diag(np.diag(H) + 1e-9), gradient[free])
             move[free] = step / max(1.0, np.abs(step).max())
             trial = np.clip(x + move, lower, upper)
-            new = log_likelihood(trial, rates, counts, exposure)
+            there = rates(trial)
+            new = log_likelihood(there[0], counts, exposure)
             if new > value:
                 break
             damping *= 4.0
         else:
             left = np.abs(gradient[free]) @ np.sqrt(np.maximum(np.diag(np.linalg.pinv(H)), 0.0))
             return Maximum(x, value, bool(left < MAX_SLOPE_SIGMAS))
-        gain, x, value, damping = new - value, trial, new, max(damping / 5.0, 1e-8)
+        gain, x, value, (rate, J), damping = new - value, trial, new, there, max(damping / 5.0, 1e-8)
         if gain < MIN_GAIN_NATS:
             return Maximum(x, value, True)
     return Maximum(x, value, False)

@@ -1,6 +1,7 @@
 """Flicker fits: phase tables count right, known truth comes back, and one frequency fixes little of a circuit."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,18 +14,21 @@ from pixelid.recordings.recording import Recording
 from pixelid.recordings.writing import write_recording
 from pixelid.tables.flicker import fit_flicker
 from pixelid.tables.flicker.circuit import read_circuit, response
-from pixelid.tables.flicker.noisy import BINS, NAMES, fit_group, rates, shape_at
-from pixelid.tables.flicker.phases import PhaseTable, locked_frequency, phase_table, quiet_windows
+from pixelid.tables.flicker.fit import waveform_gains
+from pixelid.tables.flicker.noisy import NAMES, fit_group, rates
+from pixelid.tables.flicker.phases import BINS, PhaseTable, locked_frequency, phase_table, quiet_windows
 from pixelid.tables.flicker.result import flicker_result
+from pixelid.tables.flicker.waveforms import FINE, PULSE, WAVEFORMS, as_harmonics, harmonics
 
 F = 120.0
+SINE = WAVEFORMS["sine"]
 TRUTH = np.array([np.log(0.9), np.log(0.8), 0.3, np.log(0.35), np.log(30.0), np.log(0.5), np.log(0.8), 0.6])
 
 
 def _simulated(x=TRUTH, pixels=800, duration=1.5, seed=0, width=40) -> Events:
     """Events of noisy comparators with the rates of `noisy.rates`, drawn by thinning."""
     rng = np.random.default_rng(seed)
-    rate = rates(x, "sine")
+    rate = rates(x, SINE)[0]
     top = rate.sum(0).max()
     t, p, pixel = [], [], []
     for k in range(pixels):
@@ -124,12 +128,12 @@ def test_no_light_is_not_identified_and_one_wrong_time_is_told():
 
 def test_known_amplitude_phase_and_noise_come_back(events):
     table = phase_table(events, np.ones(800, bool), F, [(float(events.t[0] * 1e-9), 1.5)])
-    fit = fit_group(table)
+    fit = fit_group(table, SINE)
     sd = np.sqrt(np.diag(np.linalg.inv(fit.information)))
     assert fit.converged
     assert np.all(np.abs((fit.x - TRUTH) / sd) < 4), dict(zip(NAMES, (fit.x - TRUTH) / sd, strict=True))
     assert fit.dispersion == pytest.approx(1.0, abs=0.2)
-    assert fit.log_likelihood > fit_group(table, memory=1.0).log_likelihood + 5
+    assert fit.log_likelihood > fit_group(table, SINE, memory=1.0).log_likelihood + 5
 
 
 def _in_time(amplitude, ratio, noise, nu, frequency, seconds, pixels, seed=0) -> Events:
@@ -152,7 +156,7 @@ def _in_time(amplitude, ratio, noise, nu, frequency, seconds, pixels, seed=0) ->
 
 def test_a_light_of_several_thresholds_is_not_smeared_by_bins_of_phase():
     events = _in_time(2.0, 1.2, 0.3, 960.0, F, 2.0, 36)
-    fit = fit_group(phase_table(events, np.ones(events.width * events.height, bool), F, [(0.0, 2.0)]), "sine")
+    fit = fit_group(phase_table(events, np.ones(events.width * events.height, bool), F, [(0.0, 2.0)]), SINE)
     error = np.sqrt(np.diag(np.linalg.pinv(fit.information)))
     wanted = np.log([2.0, 1.2, 0.3, 960.0])
     assert (np.abs(fit.x[[0, 1, 3, 4]] - wanted) < 3.0 * error[[0, 1, 3, 4]]).all()
@@ -180,17 +184,87 @@ def test_the_right_shape_wins():
     x = TRUTH.copy()
     x[0] = np.log(1.5)
     exposure = np.full((BINS, BINS), 5.0)
-    counts = np.random.default_rng(0).poisson(rates(x, "rectified") * exposure)
+    counts = np.random.default_rng(0).poisson(rates(x, WAVEFORMS["rectified"])[0] * exposure)
     table = PhaseTable(counts[0], counts[1], exposure, 1, int(counts.sum()))
-    log_likelihoods = {shape: fit_group(table, shape).log_likelihood for shape in ("sine", "deep sine", "rectified")}
+    log_likelihoods = {name: fit_group(table, one).log_likelihood for name, one in WAVEFORMS.items() if name != "pulse"}
     assert max(log_likelihoods, key=lambda s: log_likelihoods[s]) == "rectified"
 
 
 def test_shapes_are_normalised():
-    for shape in ("sine", "deep sine", "rectified"):
-        g = shape_at(shape, np.arange(4096) / 4096)
+    for waveform in (*WAVEFORMS.values(), harmonics(5)):
+        g = waveform.fine(np.array(waveform.begin))
         assert g.mean() == pytest.approx(0, abs=1e-12)
         assert np.ptp(g) == pytest.approx(2)
+
+
+@pytest.mark.parametrize("waveform", [SINE, PULSE, harmonics(3)], ids=lambda waveform: waveform.name)
+def test_derivatives_of_rates_are_those_of_differences(waveform):
+    x = np.append(TRUTH, [np.log(0.13), np.log(0.8), 0.1, -0.4][: len(waveform.numbers)])
+    slopes = rates(x, waveform, 32)[1]
+    for k in range(len(x)):
+        size = 1e-3 if k == 2 else 1e-5  # places of a waveform are as far apart as a step of the phase
+        step = size * np.eye(len(x))[k]
+        wanted = (rates(x + step, waveform, 32)[0] - rates(x - step, waveform, 32)[0]) / (2 * size)
+        if not (waveform.name == "pulse" and k == 2):  # a pulse's corners lie between places
+            assert slopes[k] == pytest.approx(wanted, abs=0.01 * np.abs(wanted).max())
+
+
+def test_a_pulse_behind_one_pole_is_that_of_a_circuit():
+    """Charge and discharge by small steps, until one period is like the one before."""
+    duty, corner = 0.13, 0.8
+    level, step, values = 0.0, 1.0 / (8 * FINE), []
+    for k in range(20 * 8 * FINE):
+        level += 2 * np.pi * corner * step * (float((k * step) % 1.0 < duty) - level)
+        values.append(level)
+    last = np.roll(np.array(values[-8 * FINE :]), 1)[::8]
+    last = (last - last.mean()) * 2.0 / np.ptp(last)
+    assert PULSE.fine(np.log([duty, corner])) == pytest.approx(last, abs=0.02)
+
+
+def test_a_waveform_as_harmonics_is_the_same_at_its_phase():
+    g = PULSE.fine(np.log([0.2, 0.5]))
+    lag, numbers = as_harmonics(g, 16)
+    assert harmonics(16).at(numbers, np.arange(FINE) / FINE - lag)[0] == pytest.approx(g, abs=0.06)
+
+
+def _of_waveform(numbers, waveform, seconds=2.0):
+    x = np.append(TRUTH, numbers)
+    x[0], x[7] = np.log(1.5), 1.0
+    exposure = np.full((BINS, BINS), seconds)
+    counts = np.random.default_rng(4).poisson(rates(x, waveform)[0] * exposure)
+    return PhaseTable(counts[0], counts[1], exposure, 1, int(counts.sum()))
+
+
+def test_the_cutoff_behind_a_pulse_comes_back():
+    wanted = np.log([0.1, 0.8])
+    fit = fit_group(_of_waveform(wanted, PULSE), PULSE)
+    error = np.sqrt(np.diag(np.linalg.pinv(fit.information)))[8:]
+    assert fit.converged
+    assert (np.abs(fit.x[8:] - wanted) < 3.5 * error).all()
+    assert (error < 0.1).all()
+
+
+def test_only_harmonics_that_the_events_carry_are_paid_for():
+    """Of a sine none; of a waveform of four those four, and eight are no better."""
+    for order, numbers in ((1, []), (4, [0.4, -0.3, 0.0, 0.3, -0.25, 0.1])):
+        table = _of_waveform(numbers, harmonics(order) if order > 1 else SINE)
+        first = fit_group(table, SINE)
+        found = {"sine": {(0, 0): first}}
+        for more in (2, 4, 8):
+            lag, begin = as_harmonics(first.waveform.fine(first.x[8:]), more)
+            start = np.concatenate([first.x[:8] + lag * np.eye(8)[2], begin])
+            found[f"harmonics ({more})"] = {(0, 0): fit_group(table, harmonics(more), [start])}
+        gains = waveform_gains(found)
+        assert max(gains, key=lambda name: gains[name]) == ("sine" if order == 1 else "harmonics (4)")
+
+
+def test_poor_groups_with_many_events_are_named(events):
+    found = fit_flicker(Recording(events), find_model("dvs128"), grid=(2, 1))
+    assert found.judge()[0] == "converged"
+    bad = replace(found.groups[1], fit=replace(found.groups[1].fit, dispersion=8.0))
+    status, advice = replace(found, groups=(found.groups[0], bad)).judge()
+    assert status == "misfit"
+    assert "group 1, 0: 8.0" in advice
 
 
 def test_one_frequency_leaves_the_circuit_open():
@@ -236,13 +310,13 @@ def test_command_on_a_simulated_recording(tmp_path, events):
 def test_ratios_on_their_bound_are_said_to_be():
     x = TRUTH.copy()
     x[1], x[3] = np.log(0.02), np.log(0.1)  # an OFF threshold far below what the search allows
-    assert fit_group(_counts_of(x)).ratios_at_bound == ["off_over_on_threshold"]
-    assert fit_group(_counts_of(TRUTH)).ratios_at_bound == []
+    assert fit_group(_counts_of(x), SINE).ratios_at_bound == ["off_over_on_threshold"]
+    assert fit_group(_counts_of(TRUTH), SINE).ratios_at_bound == []
 
 
 def _counts_of(x) -> PhaseTable:
     exposure = np.full((BINS, BINS), 3.0)
-    counts = np.random.default_rng(0).poisson(rates(x, "sine") * exposure)
+    counts = np.random.default_rng(0).poisson(rates(x, SINE)[0] * exposure)
     return PhaseTable(counts[0], counts[1], exposure, 1, int(counts.sum()))
 
 

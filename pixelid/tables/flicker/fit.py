@@ -14,16 +14,19 @@ from pixelid.parameters.parameter import OPEN_SD
 from pixelid.provenance import input_hashes
 from pixelid.recordings.recording import Recording
 from pixelid.status import Status
-from pixelid.tables.fit import standard_errors
+from pixelid.tables.fit import MOST_SUSPECT, standard_errors
 from pixelid.tables.flicker.circuit import Reading, read_circuit
-from pixelid.tables.flicker.noisy import AT_BOUND, LOWER, SHAPES, UPPER, GroupFit, fit_group
+from pixelid.tables.flicker.noisy import PHASES, GroupFit, fit_group
 from pixelid.tables.flicker.phases import Lock, PhaseTable, locked_frequency, phase_table, quiet_windows
+from pixelid.tables.flicker.waveforms import HARMONICS, WAVEFORMS, Waveform, as_harmonics, harmonics
 
 OPEN_PHASE_CYCLES = 0.05
 HIGHEST_HZ = 1e5  # of a lamp, far above what a pixel follows
 # Pixels within a group differ: 0.9 to 3.8 in a real recording whose phases and amplitudes repeat from group to group
 MAX_DISPERSION = 4.0
 LEAST_EVENTS = 300  # of a group
+
+Fits = dict[tuple[int, int], GroupFit]  # by (column, row) of the group
 
 
 @dataclass(frozen=True)
@@ -37,10 +40,9 @@ class Group:
 
     @property
     def sd(self) -> np.ndarray:
-        """(8,) standard errors in the fit's coordinates, inf where open; those on a bound are held, and inf."""
-        x = self.fit.x
-        free = (x > LOWER + AT_BOUND) & (x < UPPER - AT_BOUND)
-        sd = np.full(len(x), np.inf)
+        """(coordinates,) standard errors of the fit's, inf where open; those on a bound are held, and inf."""
+        free = self.fit.free
+        sd = np.full(len(free), np.inf)
         sd[free] = standard_errors(self.fit.information[np.ix_(free, free)])
         return sd
 
@@ -54,8 +56,10 @@ class Group:
 class FlickerFit:
     """A finished fit.
 
-    lock: onto the light's frequency;  groups: with enough events, by location;  shapes: name → total log-likelihood;
-    shape: the best of them;  memory_gain: nats by which a reference that fades beats one that does not;
+    lock: onto the light's frequency;  groups: with enough events, by location;
+    shapes: waveform → total log-likelihood;  gains: of `waveform_gains`;
+    shape: the best of them;  pulses: the groups as pulses behind one pole;
+    memory_gain: nats by which a reference that fades beats one that does not;
     free, equal: what the data fix of a circuit, contrasts free or known to be equal
     """
 
@@ -65,7 +69,9 @@ class FlickerFit:
     grid: tuple[int, int]
     groups: tuple[Group, ...]
     shapes: dict[str, float]
+    gains: dict[str, float]
     shape: str
+    pulses: tuple[Group, ...]
     memory_gain: float
     free: Reading
     equal: Reading
@@ -91,11 +97,15 @@ class FlickerFit:
         verdicts = {}
         if not all(g.fit.converged for g in self.groups):
             verdicts[Status.not_converged] = "Some groups did not come to rest: use fewer, larger groups."
-        typical = float(np.median([g.fit.dispersion for g in self.groups]))
-        if typical > MAX_DISPERSION:
+        poor = sorted((g for g in self.groups if g.fit.dispersion > MAX_DISPERSION), key=lambda g: -g.table.events)
+        share = sum(g.table.events for g in poor) / sum(g.table.events for g in self.groups)
+        if share > MOST_SUSPECT:
+            named = "; ".join(f"{g.column}, {g.row}: {g.fit.dispersion:.1f}" for g in poor[:3])
+            more = f"; and {len(poor) - 3} more" if len(poor) > 3 else ""
             verdicts[Status.misfit] = (
-                f"Poor fit: scatter {typical:.1f} × Poisson; the light is not of one frequency alone: "
-                "check --frequency, and that nothing moves."
+                f"Poor fit in {len(poor)} of {len(self.groups)} groups, with {share:.0%} of the events (scatter over "
+                f"Poisson's in group {named}{more}): their pixels differ, or something moves. Use smaller groups, and "
+                "check --frequency."
             )
         stuck = [
             f"group {g.column}, {g.row}: {', '.join(names)}" for g in self.groups if (names := g.fit.ratios_at_bound)
@@ -108,7 +118,8 @@ class FlickerFit:
         if not self.known:
             verdicts[Status.not_identified] = "No group of pixels is locked to the light: check --frequency."
         status = Status.worst(verdicts)
-        return status, verdicts.get(status, "")
+        stated = dict.fromkeys((status, Status.misfit))  # a poor fit is stated whatever else is wrong
+        return status, " ".join(verdicts[one] for one in stated if one in verdicts)
 
 
 def fit_flicker(
@@ -153,20 +164,34 @@ def fit_flicker(
                 tables[c, r] = table
     if not tables:
         raise InputError(f"{recording.name}: no group of pixels has {LEAST_EVENTS} events in quiet light")
-    totals, fits = {}, {}
-    for k, shape in enumerate(SHAPES):
-        fits[shape] = {}
+
+    def fitted(waveform: Waveform, begin: Callable[[GroupFit], list[np.ndarray]], of: Fits, share: float) -> Fits:
+        found = {}
         for j, (where, table) in enumerate(tables.items()):
-            start = fits["sine"][where].x if shape == "deep sine" else None
-            fits[shape][where] = fit_group(table, shape, start)
-            report(f"groups, {shape}", 0.1 + 0.85 * (k + (j + 1) / len(tables)) / len(SHAPES))
-        totals[shape] = float(sum(fit.log_likelihood for fit in fits[shape].values()))
-    best = max(totals, key=lambda shape: totals[shape])
-    groups = tuple(Group(c, r, table, fits[best][c, r]) for (c, r), table in tables.items())
-    perfect = max(
-        sum(fit_group(table, shape, fits[shape][where].x, memory=1.0).log_likelihood for where, table in tables.items())
-        for shape in SHAPES
+            found[where] = fit_group(table, waveform, begin(of[where]) if of else ())
+            report(f"groups, {waveform.name}", share + (j + 1) / len(tables) / (len(WAVEFORMS) + len(HARMONICS) + 1))
+        return found
+
+    fits: dict[str, Fits] = {}
+    for waveform in WAVEFORMS.values():
+        alike = fits["sine"] if waveform.name == "deep sine" else {}
+        fits[waveform.name] = fitted(waveform, _at_phases, alike, 0.1 + 0.8 * len(fits) / 8)
+    closest, gained = _likeliest(fits), -np.inf
+    for order in HARMONICS:
+        free, of = harmonics(order), fits[closest]
+        fits[free.name] = fitted(
+            free, lambda fit, order=order: [_free_start(fit, order)], of, 0.1 + 0.8 * len(fits) / 8
+        )
+        if waveform_gains(fits)[free.name] <= gained:
+            break
+        gained = waveform_gains(fits)[free.name]
+    best = _likeliest(fits)
+    gains = waveform_gains(fits)
+    groups, pulses = (
+        tuple(Group(c, r, table, fits[name][c, r]) for (c, r), table in tables.items()) for name in (best, "pulse")
     )
+    perfect = sum(fit_group(g.table, g.fit.waveform, [g.fit.x], memory=1.0).log_likelihood for g in groups)
+    totals = {name: float(sum(fit.log_likelihood for fit in of.values())) for name, of in fits.items()}
     information = [_of_seen(g.fit.information) for g in groups]
     nominal = {**model.values, "diff_cutoff_hz": model.values.get("diff_cutoff_hz", 1e5)}
     level = np.geomspace(10.0, 1000.0, len(groups))
@@ -177,7 +202,9 @@ def fit_flicker(
         grid,
         groups,
         totals,
+        gains,
         best,
+        pulses,
         totals[best] - float(perfect),
         read_circuit(frequency, information, nominal, level, equal_contrast=False),
         read_circuit(frequency, information, nominal, level, equal_contrast=True),
@@ -192,3 +219,34 @@ def _of_seen(information: np.ndarray) -> np.ndarray:
     seen, other = np.arange(4), np.arange(4, len(information))
     cross = information[np.ix_(seen, other)]
     return information[np.ix_(seen, seen)] - cross @ np.linalg.pinv(information[np.ix_(other, other)]) @ cross.T
+
+
+def _at_phases(fit: GroupFit) -> list[np.ndarray]:
+    """Where a similar waveform's fit begins: at a fit's coordinates, of which the phase is doubted."""
+    return [fit.x + shift * np.eye(len(fit.x))[2] for shift in PHASES]
+
+
+def _free_start(fit: GroupFit, order: int) -> np.ndarray:
+    """A fit's coordinates with its waveform as harmonics."""
+    lag, numbers = as_harmonics(fit.waveform.fine(fit.x[8:]), order)
+    return np.concatenate([fit.x[:8] + lag * np.eye(8)[2], numbers])
+
+
+def _likeliest(fits: dict[str, Fits]) -> str:
+    """The waveform that explains the groups best, its numbers paid for."""
+    gains = waveform_gains(fits)
+    return max(gains, key=lambda name: gains[name])
+
+
+def waveform_gains(fits: dict[str, Fits]) -> dict[str, float]:
+    """Waveform → nats by which it beats the first: counts scatter as about the likeliest of all, and each number of its
+    own costs half the logarithm of a group's events (Schwarz 1978, Ann. Stat. 6, 461)."""
+    gains = dict.fromkeys(fits, 0.0)
+    first = next(iter(fits.values()))
+    for where, of in first.items():
+        scatter = max(max((fit[where] for fit in fits.values()), key=lambda fit: fit.log_likelihood).dispersion, 1.0)
+        price = 0.5 * np.log(max(float(of.expected.sum()), 2.0))
+        for name, fit in fits.items():
+            nats = (fit[where].log_likelihood - of.log_likelihood) / scatter
+            gains[name] += float(nats - price * len(fit[where].waveform.numbers))
+    return gains

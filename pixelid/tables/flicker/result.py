@@ -9,6 +9,7 @@ import numpy as np
 
 from pixelid.parameters.parameter import OPEN_SD
 from pixelid.provenance import versions
+from pixelid.statistics import Z95
 from pixelid.tables.flicker.circuit import Reading
 from pixelid.tables.flicker.figures import draw_maps, draw_phases
 from pixelid.tables.flicker.fit import OPEN_PHASE_CYCLES, FlickerFit, Group
@@ -36,6 +37,8 @@ def flicker_result(fit: FlickerFit) -> dict:
         "quiet_windows_s": fit.windows,
         "shape": fit.shape,
         "shapes_log_likelihood": fit.shapes,
+        "shapes_gain_nats": fit.gains,
+        "pulse": pulse(fit),
         "memory_gain_nats": fit.memory_gain,
         "groups": [_group(g, fit.lock.sure) for g in fit.groups],
         "groups_left_out": fit.left_out,
@@ -57,17 +60,44 @@ def flicker_result(fit: FlickerFit) -> dict:
 
 
 def _group(g: Group, locked: bool) -> dict:
-    entry = {"column": g.column, "row": g.row, "pixels": g.table.pixels, "events": g.table.events,
-             "dispersion": g.fit.dispersion}  # fmt: skip
-    for name, value, sd in zip(NAMES, g.fit.values.values(), g.sd, strict=True):
-        entry[name] = {
+    entry: dict = {"column": g.column, "row": g.row, "pixels": g.table.pixels, "events": g.table.events,
+                   "dispersion": g.fit.dispersion, "waveform": []}  # fmt: skip
+    linear = LINEAR if g.fit.waveform.logarithmic else (*LINEAR, *g.fit.waveform.numbers)
+    for (name, value), sd in zip(g.fit.values.items(), g.sd, strict=True):
+        found = {
             "value": value,
-            "std": (sd if name in LINEAR else value * sd) if np.isfinite(sd) else None,
+            "std": (sd if name in linear else value * sd) if np.isfinite(sd) else None,
             "identified": locked
             and g.fit.converged
             and bool(sd < (OPEN_PHASE_CYCLES if name == "phase_cycles" else OPEN_SD)),
         }
+        if name in NAMES:
+            entry[name] = found
+        else:
+            entry["waveform"].append({"name": name} | found)
     return entry
+
+
+def pulse(fit: FlickerFit) -> dict | None:
+    """What the groups show of a light that pulses, behind one pole: its cutoff, and the pulse's share of the period.
+
+    Means over groups, weighted by their errors and what they scatter by beyond these (DerSimonian & Laird 1986,
+    Control. Clin. Trials 7, 177); None where no group knows both.
+    """
+    entries = [(g.fit.x[8:], g.sd[8:]) for g in fit.pulses if g.fit.converged and (g.sd[8:] < OPEN_SD).all()]
+    if not (entries and fit.lock.sure):
+        return None
+    found = {}
+    for k, (name, scale) in enumerate((("duty", 1.0), ("cutoff_hz", fit.frequency_hz))):
+        x, variance = np.array([x[k] for x, _ in entries]), np.array([sd[k] ** 2 for _, sd in entries])
+        weight = 1.0 / variance
+        off = float(weight @ (x - weight @ x / weight.sum()) ** 2) - (len(x) - 1)
+        between = max(off / (weight.sum() - (weight**2).sum() / weight.sum()), 0.0) if len(x) > 1 else 0.0
+        weight = 1.0 / (variance + between)
+        mean, sd = float(weight @ x / weight.sum()), float(weight.sum() ** -0.5)
+        low, high = (scale * np.exp(mean + side * Z95 * sd) for side in (-1.0, 1.0))
+        found[name] = {"value": scale * np.exp(mean), "interval_95": [low, high], "groups_scatter": between**0.5}
+    return found | {"groups": len(entries), "behind_nats": fit.gains[fit.shape] - fit.gains["pulse"]}
 
 
 def identified_sentences(fit: FlickerFit) -> list[str]:
@@ -131,13 +161,19 @@ def disagreements(fit: FlickerFit) -> list[str]:
             f"{worst.fit.dispersion:.1f} in group "
             f"{worst.column}, {worst.row}): pixels within a group differ; errors are scaled for it"
         )
-    order = sorted(fit.shapes, key=lambda s: -fit.shapes[s])
-    behind = [
-        f"{s!r} is {(fit.shapes[order[0]] - fit.shapes[s]) / max(typical, 1.0):.0f} nats worse" for s in order[1:]
-    ]
+    order = sorted(fit.gains, key=lambda s: -fit.gains[s])
+    behind = [f"{s!r} is {fit.gains[order[0]] - fit.gains[s]:.0f} nats worse" for s in order[1:]]
     sentences.append(
-        f"the light looks like {order[0]!r}: {', '.join(behind)} (over {len(fit.groups)} groups, scatter allowed for)"
+        f"the light looks like {order[0]!r}: {', '.join(behind)} (over {len(fit.groups)} groups, scatter and a price "
+        "per number of a waveform allowed for)"
     )
+    found = pulse(fit)
+    if found and order[0] not in ("sine", "deep sine", "rectified"):
+        cutoff, duty = found["cutoff_hz"], found["duty"]
+        sentences.append(
+            f"as a pulse behind one pole: a cutoff of {cutoff['value']:.3g} Hz ({cutoff['interval_95'][0]:.3g} to "
+            f"{cutoff['interval_95'][1]:.3g}), lit for {duty['value']:.2g} of the period, in {found['groups']} groups"
+        )
     gain = fit.memory_gain / max(typical, 1.0)
     if gain > MIN_MEMORY_GAIN_NATS:
         memory = np.median([g.fit.values["memory"] for g in fit.groups])
