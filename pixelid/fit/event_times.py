@@ -27,7 +27,8 @@ DENSITY_ONLY = (*(name for name in NUMBERS if name not in ("silent", "refractory
 # 1e-6 relative, and their own error 1e-14 adds 1e-8.  Of the circuit's numbers central: elementary functions of the
 # coordinates, whose rounding leaves 1e-10.
 STEP = 1e-6
-OF_ROUNDING = 1e7  # per second: a dead time of 0.1 ms then moves by a thousand times what a late event's time is rounded by
+# Steps per rounding (s) of the latest event: one moves a dead time of 0.1 ms by a thousand roundings, after days, too.
+OF_ROUNDING = 1e7
 
 LEVELS_TAKEN_AT = "levels_taken_at"  # of a fit under shot noise: coordinates that its levels were moved for
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from pixelid.errors import InputError, on_command_line
 from pixelid.recordings.answers import send, taken_apart
-from pixelid.recordings.parts import cut, joined
+from pixelid.recordings.parts import as_long, joined
 from pixelid.recordings.raw import interpreted
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.source import ReadingOptions
@@ -105,8 +105,9 @@ def recordings_of(
     """The recording in a file as a reader of `READERS` finds it, or a head and its parts."""
     module = importlib.import_module(READERS[reader])
     if not hasattr(module, "opened"):
-        head, parts = cut(module.read(path))
-        yield from (head, *parts) if in_parts else (joined(head, parts),)
+        whole = module.read(path)
+        long = as_long(whole)
+        yield from (long.head, *long.read()) if in_parts else (whole,)
         return
     stated = ReadingOptions.of(options or {})
     raw = module.opened(path, stated)
