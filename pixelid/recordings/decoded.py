@@ -1,4 +1,4 @@
-"""Camera makers' files: AEDAT4 and ES by the library faery, Prophesee's by `evt`, `evt21` and `dat`."""
+"""Camera makers' files: AEDAT4 and ES by the library faery, Prophesee's by `evt` and `dat`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import TypeVar
 import numpy as np
 
 from pixelid.errors import InputError, first_line
-from pixelid.recordings import dat, evt, evt21
+from pixelid.recordings import dat, evt
 from pixelid.recordings.bias_files import biases_beside
 from pixelid.recordings.columns import PART_EVENTS, to_nanoseconds
 from pixelid.recordings.events import Events
@@ -26,10 +26,18 @@ Packet = TypeVar("Packet")
 
 TYPES: dict = {".aedat4": "aedat", ".raw": "evt", ".dat": "dat", ".es": "es"}
 AEDAT_EDGES = {1: True, 2: False, 3: True}  # external signal: rising edge, falling edge, pulse
-FORMATS: dict = {"EVT2": "evt2", "EVT21": "evt2.1", "EVT3": "evt3"}  # of newer headers
 NO_SIZE = (65535, 65535)  # of a file that states none
 MOST_PACKETS = 1 << 14  # of a part: packets of frames and samples hold no events
-VERSIONS: dict = {"2.0": "evt2", "2.1": "evt2.1", "3.0": "evt3", "2": "evt2", "3": "evt3"}
+VERSIONS = {
+    "2.0": "2.0",
+    "2.1": "2.1",
+    "3.0": "3.0",
+    "2": "2.0",
+    "3": "3.0",
+    "EVT2": "2.0",
+    "EVT21": "2.1",
+    "EVT3": "3.0",
+}
 
 
 # Sizes by the system number of older headers (Prophesee's OpenEB, `psee_raw_file_header.cpp` and `device_system_id.h`).
@@ -71,19 +79,13 @@ def decode_evt(path: Path, header: dict[str, str], named: Path) -> Iterator[Bloc
     Raises:
         InputError: when the file cannot be decoded.
     """
-    stated = header.get("format", "").partition(";")[0].upper()
-    version = VERSIONS.get(header.get("evt", "")) or FORMATS.get(stated)
-    if version == "evt2.1":
-        said = re.search(r"endianness=(\w+)", header.get("format", ""))
-        legacy = said.group(1) == "legacy" if said else None
-        yield from (Block.of(columns, edges) for columns, edges in evt21.decode(path, _header_bytes(path), legacy))
-        return
-
+    stated, *more = header.get("format", "").split(";")
+    version = VERSIONS.get(header.get("evt", "") or stated.upper())
     if version is None:
-        found = header.get("evt") or stated or "none"
+        found = header.get("evt") or stated.upper() or "none"
         raise InputError(f"{named}: expected EVT 2.0, 2.1 or 3.0 in the header, found {found[:40]}")
-    for columns, edges in evt.decode(path, _header_bytes(path), int(version[3]), named):
-        yield Block.of(columns, edges)
+    order = next((word.partition("=")[2] for word in more if word.startswith("endianness=")), "")
+    yield from evt.decode(path, _header_bytes(path), version, named, order == "legacy" if order else None)
 
 
 def _aedat(path: Path, raw: RawEvents, options: ReadingOptions) -> RawEvents:
