@@ -117,11 +117,8 @@ def _evt21(words, state, span, t, x, y, p, edges):
     """Fill the columns and edges (time, input, rising); returns how many of each."""
     n = m = 0
     for word in words:
-        kind, high, mask = (
-            word >> np.uint64(60),
-            np.int64(word >> np.uint64(32)),
-            np.int64(word & np.uint64(0xFFFFFFFF)),
-        )
+        high, mask = np.int64(word >> np.uint64(32)), np.int64(word & np.uint64(0xFFFFFFFF))
+        kind = high >> 28
         if kind == 0x8:
             _unrolled(high & 0xFFFFFFF, state, span)
         elif state[0] >= 0 and kind <= 0x1:
