@@ -30,7 +30,7 @@ from pixelid.recordings import (
 from pixelid.recordings import parts as in_parts
 from pixelid.recordings import reading as opening
 from pixelid.recordings.alignment import Alignment, aligned, sample_to_align
-from pixelid.recordings.columns import RepeatCounter, duplicated
+from pixelid.recordings.columns import RepeatCounter
 from pixelid.recordings.crop import Crop
 from pixelid.recordings.kept import kept_of, seconds_looked_at
 from pixelid.recordings.parts import LongRecording, joined
@@ -69,6 +69,11 @@ def made(n=20_000, seed=0, tick_ns=1000) -> Recording:
     light = Stimulus.from_arrays([0, 1, SECONDS], [1.0, 2.0, 3.0], "lux", "linear")
     triggers = Triggers.from_columns([10_000_000, 900_000_000], [True, False], [1, 1])
     return Recording(events, light, "c", "s", attributes={"a": 1}, triggers=triggers)
+
+
+def repeated(events: Events) -> int:
+    """How many events repeat an earlier one."""
+    return len(events) - len(set(zip(*(getattr(events, name).tolist() for name in "txyp"), strict=True)))
 
 
 def long_of(recording: Recording, size=777) -> LongRecording:
@@ -153,7 +158,7 @@ def test_repeats_are_counted_across_parts():
             found = sum(
                 counter.add(some.select(np.s_[k : k + size])) for k in range(0, 4000 if size == 1 else len(some), size)
             )
-            assert found == len(duplicated(some if size > 1 else some.select(np.s_[:4000])))
+            assert found == repeated(some if size > 1 else some.select(np.s_[:4000]))
 
 
 def test_a_file_joined_to_itself_is_refused_in_parts(tmp_path, monkeypatch):
