@@ -28,7 +28,7 @@ class Counted:
     def __init__(self, pipe: IO[bytes]) -> None:
         self._pipe, self.count = pipe, 0
 
-    def read(self, count: int) -> bytes:
+    def read(self, count: int = -1, /) -> bytes:
         """So many bytes.  Raises EOFError where the pipe ends before."""
         data = self._pipe.read(count)
         self.count += len(data)

@@ -85,9 +85,9 @@ def _own(file, path: Path, attributes: dict, pooled: bool) -> RawEvents:
         triggers = Triggers.from_columns(*(columns[name][:] for name in COLUMNS), where=f"{path}: triggers")
     if "stimulus" in file:
         columns, stated = _columns(file, path, "stimulus", ("t", "radiance")), file["stimulus"].attrs
-        unit, between = (_attribute(stated.get(name, usual)) for name, usual in USUAL_LIGHT)
+        light_is: list[Any] = [_attribute(stated.get(name, usual)) for name, usual in USUAL_LIGHT]
         arrays = {name: column[:] for name, column in columns.items()}
-        light = light_from_arrays(arrays, unit, between, f"{path}: stimulus")
+        light = light_from_arrays(arrays, *light_is, f"{path}: stimulus")
     labels = {name: str(attributes.get(name, "")) for name in ("condition", "sensor")}
     meta = {**labels, "pooled": pooled, "attributes": {k: v for k, v in attributes.items() if k not in NAMED}}
     head = replace(assemble(meta, Events.empty(1, 1), None, path, str(path)), stimulus=light, triggers=triggers)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from typing import TypeVar, cast
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from pixelid.recordings.recording import Recording
 from pixelid.recordings.triggers import Triggers
 from pixelid.stimuli.pixel_lights import Light
 
-Either = TypeVar("Either", "Recording", "LongRecording")
+Either = TypeVar("Either", bound="Recording | LongRecording")
 WHOLE_EVENTS = 1 << 22  # up to which a recording lies in memory whole: inspection takes 67 bytes an event, 280 MB
 
 
@@ -138,4 +138,4 @@ def as_long(recording: Recording | LongRecording) -> LongRecording:
 
 def like(recording: Either, long: LongRecording) -> Either:
     """What was made of a recording part by part, in memory if that lies there."""
-    return long if isinstance(recording, LongRecording) else as_whole(long)
+    return cast(Either, long if isinstance(recording, LongRecording) else as_whole(long))

@@ -10,7 +10,7 @@ import pytest
 from pixelid.cli.main import main
 from pixelid.inspection import inspect
 from pixelid.inspection.ceiling import Paces
-from pixelid.inspection.counts import Survey, count
+from pixelid.inspection.counts import BusiestWindow, Survey, counts_of
 from pixelid.inspection.dead_time import find_dead_time
 from pixelid.inspection.hot_pixels import find_hot_pixels_in_silence, hot_of_counts
 from pixelid.inspection.intervals import intervals_of, pixel_intervals
@@ -31,6 +31,14 @@ def find_lines(events: Events):
     spectra = Spectra(len(events), first, last)
     spectra.add(events)
     return spectra.lines(None)
+
+
+def count(events: Events, pooled: bool = False):
+    survey = Survey(events.width, events.height, pooled)
+    survey.add(events)
+    busiest = BusiestWindow(survey)
+    busiest.add(events)
+    return counts_of(survey, busiest)
 
 
 def find_ceiling(events: Events, clock_s: float):
