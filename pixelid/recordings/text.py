@@ -111,7 +111,7 @@ def _header(path: Path) -> _Header:
                 numbers = sum(NUMBER.fullmatch(cell) is not None for cell in cells)
                 if not numbers or (header.names is not None and any(_units(cells))):
                     _note_names(header, cells if cells[-1] else cells[:-1])
-                elif numbers < len(cells) < len("txyp"):  # width: 640
+                elif len(cells) < len("txyp") and not NUMBER.fullmatch(cells[0]):  # width: 640
                     _note(header, text)
                 elif len(cells) == 2 and header.names is None and all(map(str.isdecimal, cells)):
                     header.size = int(cells[0]), int(cells[1])
