@@ -7,7 +7,6 @@ run continues where it stopped.  Dask gives the tasks of a worker that dies to a
 from __future__ import annotations
 
 import asyncio
-import hashlib
 import logging
 import os
 import time
@@ -31,7 +30,6 @@ Result = Mapping[str, np.ndarray]
 Item = TypeVar("Item")
 Made = TypeVar("Made")
 MARK = "of"  # the array of a kept result that says what it belongs to
-CHECKSUM = "checksum"  # the one that says whether the others are as they were
 
 # Dask has its workers hand every freed 64 KiB back to the system; fits allocate and free arrays of megabytes thousands
 # of times, and getting the pages back took as long as the fits themselves.
@@ -50,33 +48,18 @@ class Where:
     """Where tasks run: in this process, on `workers` local processes, or on the scheduler at `cluster`.
 
     Attributes:
-        cluster: address of a running scheduler, tcp://HOST:PORT, or tls://HOST:PORT.
+        cluster: address of a running scheduler, tcp://HOST:PORT, or tls://HOST:PORT with the certificates that Dask's
+            own configuration names.
         workers: how many local processes; they listen on this computer's loopback interface alone.
-        tls_ca: certificate of the authority that signed the scheduler's (PEM), for tls:// addresses.
-        tls_cert: the certificate that this client shows: TLS schedulers take nobody without.
-        tls_key: its private key.
     """
 
     cluster: str = ""
     workers: int = 0
-    tls_ca: Path | None = None
-    tls_cert: Path | None = None
-    tls_key: Path | None = None
 
     def __post_init__(self) -> None:
         """Check that they fit each other.  Raises InputError naming the option."""
-        files = {"--tls-ca": self.tls_ca, "--tls-cert": self.tls_cert, "--tls-key": self.tls_key}
-        given = [name for name, file in files.items() if file is not None]
-        missing = [name for name, file in files.items() if file is None]
         if self.cluster and self.workers:
             raise InputError("--cluster and --workers exclude each other")
-        if given and not self.cluster.startswith("tls://"):
-            raise InputError(f"{given[0]}: needs --cluster tls://HOST:PORT, found {shown(self.cluster)}")
-        if given and missing:
-            raise InputError(f"{given[0]}: needs {', '.join(missing)}")
-        for name, file in files.items():
-            if file is not None and not file.is_file():
-                raise InputError(f"{name}: {file}: expected a PEM file, found no such file")
 
 
 @dataclass(frozen=True)
@@ -167,17 +150,8 @@ def run_tasks(
 
 
 def _sealed(result: Mapping[str, Any], mark: str) -> dict[str, Any]:
-    """The columns of a result with whose it is, and a checksum of them all."""
-    columns = {name: np.asarray(column) for name, column in result.items()}
-    return {**columns, MARK: np.array(mark), CHECKSUM: np.array(_checksum(columns))}
-
-
-def _checksum(columns: Mapping[str, np.ndarray]) -> str:
-    hashed = hashlib.blake2b(digest_size=8)
-    for name in sorted(columns):
-        hashed.update(repr((name, columns[name].dtype.str, columns[name].shape)).encode())
-        hashed.update(np.ascontiguousarray(columns[name]).tobytes())
-    return hashed.hexdigest()
+    """The columns of a result with whose it is; the archive has a checksum of each."""
+    return {**{name: np.asarray(column) for name, column in result.items()}, MARK: np.array(mark)}
 
 
 def _kept(path: Path, mark: str) -> Result | None:
@@ -189,12 +163,8 @@ def _kept(path: Path, mark: str) -> Result | None:
     except InputError:
         set_aside(path, "is damaged", "damaged")
         return None
-    whose, checksum = str(arrays.pop(MARK, None)), str(arrays.pop(CHECKSUM, None))
-    if whose != mark:
+    if str(arrays.pop(MARK, None)) != mark:
         set_aside(path, "belongs to another run", "other")
-        return None
-    if checksum != _checksum(arrays):
-        set_aside(path, "is damaged", "damaged")
         return None
     return arrays
 
@@ -279,17 +249,16 @@ def connected(where: Where) -> Iterator[Any]:
 @contextmanager
 def _client(where: Where, distributed: Any) -> Iterator[Any]:
     if where.cluster:
-        security = _security(where, distributed)
         try:
             with ThreadPoolExecutor(1) as alone:  # a notebook has a loop of its own in this thread
-                workers = alone.submit(lambda: asyncio.run(_workers_of(where.cluster, security))).result()
+                workers = alone.submit(lambda: asyncio.run(_workers_of(where.cluster))).result()
         except Exception as error:  # whatever answers there may say anything
             raise InputError(
                 f"--cluster {shown(where.cluster)}: no Dask scheduler answers there ({first_line(error)})"
             ) from None
         if not workers:
             raise InputError(f"--cluster {shown(where.cluster)}: its scheduler has no workers; start some")
-        with distributed.Client(where.cluster, timeout=ANSWER_S, security=security) as client:
+        with distributed.Client(where.cluster, timeout=ANSWER_S) as client:
             yield client
         return
     from dask import config
@@ -305,12 +274,12 @@ def _client(where: Where, distributed: Any) -> Iterator[Any]:
         yield client
 
 
-async def _workers_of(address: str, security: Any) -> int:
+async def _workers_of(address: str) -> int:
     """How many workers the scheduler at an address has, asked within `ANSWER_S`: a Dask client may wait for ever."""
     from distributed import Security
     from distributed.comm.core import connect
 
-    arguments = (security or Security()).get_connection_args("client")
+    arguments = Security().get_connection_args("client")
     async with asyncio.timeout(ANSWER_S):
         comm = await connect(address, timeout=ANSWER_S, **arguments)
         try:
@@ -319,13 +288,3 @@ async def _workers_of(address: str, security: Any) -> int:
             return len(answer["workers"])
         finally:
             comm.abort()
-
-
-def _security(where: Where, distributed: Any) -> Any:
-    """What Dask needs to speak TLS; None leaves it to Dask's own configuration."""
-    if where.tls_ca is None:
-        return None
-    files = {
-        "tls_ca_file": where.tls_ca, "tls_client_cert": where.tls_cert, "tls_client_key": where.tls_key
-    }  # fmt: skip
-    return distributed.Security(require_encryption=True, **{name: str(file) for name, file in files.items()})

@@ -42,7 +42,8 @@ def cells_of(line: str) -> tuple[list[str], str]:
     (['0,0011', '238', '62', '0'], '\\\\s+')
     """
     words = line.split()
-    decimal_commas = len(words) > 1 and all(NUMBER.fullmatch(word) and word[-1] != "," for word in words)
+    with_commas = [word for word in words if "," in word]
+    decimal_commas = len(words) > 1 and all(NUMBER.fullmatch(word) and word[-1] != "," for word in with_commas)
     for mark in (";", "\t", ","):
         if mark in line and not (mark == "," and decimal_commas):
             return split(line, mark), mark

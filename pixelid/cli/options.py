@@ -281,22 +281,15 @@ def _stating(command: Decorated) -> Decorated:
 
 
 def where(command: Decorated) -> Decorated:
-    """--workers, --cluster and the TLS files of a cluster, handed on together as `where`."""
+    """--workers and --cluster, handed on together as `where`."""
 
     @functools.wraps(command)
-    def gathered(
-        *arguments: Any, workers: int, cluster: str, tls_ca: Any, tls_cert: Any, tls_key: Any, **others: Any
-    ) -> Any:
+    def gathered(*arguments: Any, workers: int, cluster: str, **others: Any) -> Any:
         from pixelid.cluster import Where
 
-        return command(*arguments, where=Where(cluster, workers, tls_ca, tls_cert, tls_key), **others)
+        return command(*arguments, where=Where(cluster, workers), **others)
 
     for option in (
-        click.option("--tls-key", type=PATH, help="Its private key."),
-        click.option("--tls-cert", type=PATH, help="Certificate to show the scheduler, which takes nobody without."),
-        click.option(
-            "--tls-ca", type=PATH, help="Certificate of the scheduler's authority (PEM), for tls://HOST:PORT."
-        ),
         click.option("--cluster", default="", metavar="tcp://HOST:PORT", help="A running Dask scheduler."),
         click.option(
             "--workers", type=click.IntRange(0, 1024), default=0, help="Local Dask processes; 0: this process alone."

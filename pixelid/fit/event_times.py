@@ -27,6 +27,8 @@ DENSITY_ONLY = (*(name for name in NUMBERS if name not in ("silent", "refractory
 # 1e-6 relative, and their own error 1e-14 adds 1e-8.  Of the circuit's numbers central: elementary functions of the
 # coordinates, whose rounding leaves 1e-10.
 STEP = 1e-6
+# Steps per rounding (s) of the latest event: one moves a dead time of 0.1 ms by a thousand roundings, after days, too.
+OF_ROUNDING = 1e7
 
 LEVELS_TAKEN_AT = "levels_taken_at"  # of a fit under shot noise: coordinates that its levels were moved for
 
@@ -44,6 +46,7 @@ class EventTimesObjective(Objective):
         self.likelihood = likelihood
         self.coordinates = coordinates
         self.off = off
+        self._step = max(STEP, OF_ROUNDING * float(np.spacing(likelihood.time_s.max(initial=0.0))))
         self._latest: tuple[bytes, Terms] | None = None
 
     def terms(self, x: np.ndarray) -> Terms:
@@ -153,7 +156,7 @@ class EventTimesObjective(Objective):
         return self._tangent(x, i, self.circuit(x))
 
     def _tangent(self, x: np.ndarray, i: int, circuit: Circuit) -> Tangent:
-        up = _moved(x, i, STEP * self.coordinates.longest_moves()[i])
+        up = _moved(x, i, self._step * self.coordinates.longest_moves()[i])
         there = self.circuit(up)
         numbers = self._numbers_along(x, i, circuit, there)
         moved = self._moved_recording(i, circuit, there)
@@ -174,7 +177,7 @@ class EventTimesObjective(Objective):
 
     def _numbers_along(self, x: np.ndarray, i: int, circuit: Circuit, there: Circuit | None = None) -> np.ndarray:
         """(10,) how the circuit's `NUMBERS` move along coordinate i at x;  there: the circuit a step up, if known."""
-        step = STEP * self.coordinates.longest_moves()[i]
+        step = self._step * self.coordinates.longest_moves()[i]
         up, down = _moved(x, i, step), _moved(x, i, -step)
         there = self.circuit(up) if there is None else there
         numbers = np.zeros(len(NUMBERS))

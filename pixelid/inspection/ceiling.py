@@ -43,15 +43,6 @@ class Ceiling:
     grouping: str
 
 
-def find_ceiling(events: Events, clock_s: float | None) -> Ceiling | None:
-    """The readout ceiling, or None when the events are too few to decide."""
-    survey = Survey(events.width, events.height, False)
-    survey.add(events)
-    paces = Paces(survey, clock_s)
-    paces.add(events)
-    return paces.ceiling()
-
-
 class Paces:
     """Groups per window for each kind of group, in a second reading part by part."""
 

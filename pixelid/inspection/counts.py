@@ -35,15 +35,6 @@ class Counts:
     duplicates: int | None
 
 
-def count(events: Events, pooled: bool = False) -> Counts:
-    """The totals of `events`."""
-    survey = Survey(events.width, events.height, pooled)
-    survey.add(events)
-    busiest = BusiestWindow(survey)
-    busiest.add(events)
-    return counts_of(survey, busiest)
-
-
 def counts_of(survey: Survey, busiest: BusiestWindow) -> Counts:
     """The totals of a recording that both have seen."""
     n, duration = survey.events, survey.duration_s

@@ -1,7 +1,7 @@
 """Hot pixels: those that fire far more than all others, by Poisson's law and with room to spare.
 
 Two kinds of evidence, by what is known of the light.  Over a whole recording a pixel must stand out from the population
-*and* from its neighbours, since edges and lamps of a scene fire much too (`find_hot_pixels`).  Under full-field light
+*and* from its neighbours, since edges and lamps of a scene fire much too (`hot_of_counts`).  Under full-field light
 all pixels see the same, so a pixel that fires ON in stretches where the others are silent is hot, however rarely it
 fires (`find_hot_pixels_in_silence`): a few events per second that drown in the response to a chirp show there.
 """
@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from pixelid.inspection.timestamps import TimestampSignature
-from pixelid.recordings.events import Events
 from pixelid.recordings.kept import seconds_looked_at
 from pixelid.recordings.recording import Recording
 from pixelid.statistics import SD_PER_MEDIAN
@@ -53,19 +52,6 @@ class HotInSilence:
     signature: TimestampSignature
 
 
-def find_hot_pixels(events: Events) -> list[HotPixel]:
-    """Hot pixels of a recording of any scene, fastest first.
-
-    A pixel is hot when its count exceeds the active pixels' median by 6 robust standard deviations of the log
-    count, and 5 times the median of the 5 × 5 pixels about it, each with 6 standard deviations of Poisson noise
-    to spare.
-    """
-    if len(events) < MIN_EVENTS:
-        return []
-    counts = np.bincount(events.pixel, minlength=events.width * events.height)
-    return hot_of_counts(counts.reshape(events.height, events.width), events.duration_s)
-
-
 def median_around(
     image: np.ndarray, kept: np.ndarray | None = None, side: int = NEIGHBOURHOOD, centre: bool = True
 ) -> np.ndarray:
@@ -99,7 +85,17 @@ def median_around(
 
 
 def hot_of_counts(image: np.ndarray, duration_s: float, kept: np.ndarray | None = None) -> list[HotPixel]:
-    """The same from (height, width) events per pixel in so many seconds; kept: (pixels,) bool, None for all."""
+    """Hot pixels of a recording of any scene, fastest first.
+
+    A pixel is hot when its count exceeds the active pixels' median by 6 robust standard deviations of the log
+    count, and 5 times the median of the 5 × 5 pixels about it, each with 6 standard deviations of Poisson noise
+    to spare.
+
+    Args:
+        image: (height, width) events per pixel.
+        duration_s: in so many seconds.
+        kept: (pixels,) bool; None for all.
+    """
     if image.sum() < MIN_EVENTS or duration_s <= 0:
         return []
     width = image.shape[1]

@@ -13,15 +13,11 @@ NONE = -1  # in place of an interval before the first
 
 def pixel_intervals(events: Events) -> np.ndarray:
     """(m,) int64 nanoseconds between successive events of the same pixel, both polarities, in no stated order."""
-    return _of(events).intervals
+    return intervals_of(events).intervals
 
 
-def pixel_interval_pairs(events: Events) -> np.ndarray:
-    """(k, 2) int64 nanoseconds: every two successive intervals of a pixel, the earlier first."""
-    return _of(events).pairs
-
-
-def _of(events: Events) -> Intervals:
+def intervals_of(events: Events) -> Intervals:
+    """All intervals within pixels, and their pairs."""
     every = Intervals(events.width * events.height, len(events))
     every.add(events)
     return every

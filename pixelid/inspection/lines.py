@@ -49,14 +49,6 @@ class Line:
     harmonics_hz: tuple[float, ...] = ()
 
 
-def find_lines(events: Events, tick_s: float | None = None) -> list[Line]:
-    """The lines of `events` below 2.5 kHz, strongest first; none above half the frequency of the tick."""
-    first, last = (int(events.t[0]), int(events.t[-1])) if len(events) else (0, 0)
-    spectra = Spectra(len(events), first, last)
-    spectra.add(events)
-    return spectra.lines(tick_s)
-
-
 class Spectra:
     """Spectra of the ON events, the OFF events and both, in a reading part by part that knows how long it will be.
 

@@ -19,9 +19,9 @@ from pixelid.recordings.columns import PART_EVENTS, Rollovers
 from pixelid.recordings.events import Events
 from pixelid.recordings.raw import Block, RawEvents
 from pixelid.recordings.recording import Recording
-from pixelid.recordings.source import ReadingOptions
+from pixelid.recordings.source import SENSOR_SIZES, ReadingOptions
 
-SIZES = {"DAVIS240": (240, 180), "DAVIS346": (346, 260), "DVS128": (128, 128)}
+CHIPS = ("DAVIS240", "DAVIS346", "DVS128")
 ENTRY = re.compile(r'<entry key="([^"]+)" value="([^"]*)"')
 BIAS = re.compile("[Bb]ias|IPot|ShiftedSource")
 TEXT = re.compile(rb"#[\t\x20-\x7e\x80-\xff]*\r?\n")  # in any coding of letters; numbers hold zeros
@@ -36,10 +36,10 @@ def opened(path: Path, options: ReadingOptions) -> RawEvents:
     lines, start = _header(path)
     words = next((line.split("AEChip:")[1].split() for line in lines if "AEChip:" in line), [])
     chip = options.chip or (words[0].rsplit(".", 1)[-1] if words else "")
-    name = next((name for name in SIZES if chip.upper().replace("-", "").startswith(name)), None)
+    name = next((name for name in CHIPS if chip.upper().replace("-", "").startswith(name)), None)
     if name is None:
         raise InputError(
-            f"{path}: AEChip: expected one of {', '.join(SIZES)}, found {shown(chip) if chip else 'nothing'}; "
+            f"{path}: AEChip: expected one of {', '.join(CHIPS)}, found {shown(chip) if chip else 'nothing'}; "
             "state whose addresses these are: --chip DAVIS346|DAVIS240|DVS128"
         )
     length = path.stat().st_size - start
@@ -47,40 +47,33 @@ def opened(path: Path, options: ReadingOptions) -> RawEvents:
         raise InputError(f"{path}: expected 8 bytes per event after the header, found {length % 8} left over")
     head = Recording(Events.empty(1, 1), sensor=chip, source=path, attributes={"biases": _biases(lines, chip)})
     return RawEvents(
-        head, lambda: _blocks(path, start, name == "DVS128"), f"{path}: events", "us", 1000, size=SIZES[name],
+        head, lambda: _blocks(path, start, name == "DVS128"), f"{path}: events", "us", 1000, size=SENSOR_SIZES[name],
         polarity="01",
     )  # fmt: skip
 
 
 def _blocks(path: Path, start: int, dvs128: bool) -> Iterator[Block]:
     """Blocks of (t µs, x, y, p), the clock's rollovers undone."""
-    event, of = (_is_dvs128_event, _of_dvs128) if dvs128 else (_is_davis_event, _of_davis)
+    columns = _of_dvs128 if dvs128 else _of_davis
     clock = Rollovers(1 << 32)
     with path.open("rb") as file:
         file.seek(start)
         while len(data := file.read(8 * PART_EVENTS)):
             words = np.frombuffer(data, ">u4").reshape(-1, 2)
             address = words[:, 0].astype(np.uint32)
-            keep = event(address)
-            yield Block(clock.undone(words[keep, 1]), *of(address[keep]))
+            no_event, *xyp = columns(address)
+            keep = (address >> 31 | no_event) == 0
+            yield Block.of((clock.undone(words[keep, 1]), *(column[keep] for column in xyp)))
 
 
-def _is_davis_event(address: np.ndarray) -> np.ndarray:
-    return (address >> 31 == 0) & (address >> 10 & 1 == 0)
+def _of_davis(address: np.ndarray) -> tuple[np.ndarray, ...]:
+    """(external input, x, y, p) of addresses."""
+    return address >> 10 & 1, address >> 12 & 0x3FF, address >> 22 & 0x1FF, address >> 11 & 1
 
 
-def _of_davis(address: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(x, y, p) of addresses."""
-    return address >> 12 & 0x3FF, address >> 22 & 0x1FF, address >> 11 & 1
-
-
-def _is_dvs128_event(address: np.ndarray) -> np.ndarray:
-    return (address >> 31 == 0) & (address >> 15 & 1 == 0)
-
-
-def _of_dvs128(address: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(x, y, p) of addresses."""
-    return address >> 1 & 0x7F, address >> 8 & 0x7F, address & 1 ^ 1
+def _of_dvs128(address: np.ndarray) -> tuple[np.ndarray, ...]:
+    """(external input, x, y, p) of addresses."""
+    return address >> 15 & 1, address >> 1 & 0x7F, address >> 8 & 0x7F, address & 1 ^ 1
 
 
 def _header(path: Path) -> tuple[list[str], int]:

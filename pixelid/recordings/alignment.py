@@ -17,8 +17,9 @@ from pixelid.errors import InputError, did_you_mean
 from pixelid.recordings.alignment_filter import RATE_BOUND
 from pixelid.recordings.alignment_from_events import alignment_from_events
 from pixelid.recordings.clocks import CRYSTAL, ONE_CLOCK, Alignment, ClockPrior
+from pixelid.recordings.events import Events
 from pixelid.recordings.kept import ATTRIBUTE, kept_of
-from pixelid.recordings.parts import WHOLE_EVENTS, LongRecording, joined
+from pixelid.recordings.parts import WHOLE_EVENTS, Either, LongRecording, as_long, joined, like
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.triggers import Triggers
 from pixelid.statistics import Z95
@@ -113,28 +114,13 @@ def known_alignment(offset_s: float, method: str, prior: ClockPrior, light: Ligh
     return Alignment(offset_s, method, interval, rate, rates, prior, start_half_s=start_half)
 
 
-def aligned(recording: Recording, light: Light, alignment: Alignment) -> Recording:
+def aligned(recording: Either, light: Light, alignment: Alignment) -> Either:
     """The recording with time zero at the light's first sample, the light on the camera's clock with it.
 
-    Events move by whole nanoseconds, so that their ticks stay; what lies outside the light is left out.
-    Raises InputError when nothing lies inside.
+    Events move by whole nanoseconds, so that their ticks stay; what lies outside the light is left out, and counted in
+    a reading before.  Raises InputError when nothing lies inside.
     """
-    zero_ns, first, last = _span_ns(recording, light, alignment)
-    events = recording.events
-    inside = (events.t >= first) & (events.t <= last)
-    if len(events) and not inside.any():
-        raise _nothing_inside(recording.name, (first, last), (int(events.t[0]), int(events.t[-1])))
-    kept = events.select(inside)
-    return replace(
-        _beside(recording, light, alignment, int((~inside).sum())),
-        events=replace(kept, t=kept.t - zero_ns),
-        triggers=None if recording.triggers is None else recording.triggers.shifted(-zero_ns),
-        exposures=None if recording.exposures is None else _moved(recording.exposures, zero_ns, last),
-    )
-
-
-def aligned_parts(long: LongRecording, light: Light, alignment: Alignment) -> LongRecording:
-    """The same of a recording that does not lie in memory; events outside the light are counted in a reading before."""
+    long = as_long(recording)
     zero_ns, first, last = _span_ns(long.head, light, alignment)
     inside = outside = 0
     ends: list[int] = []
@@ -144,17 +130,26 @@ def aligned_parts(long: LongRecording, light: Light, alignment: Alignment) -> Lo
         inside, outside = inside + int(end - begin), outside + len(t) - int(end - begin)
         ends = [*ends[:1], *t[:1].tolist(), *t[-1:].tolist()]
     if ends and not inside:
-        raise _nothing_inside(long.name, (first, last), (ends[0], ends[-1]))
-    head = _beside(long.head, light, alignment, outside)
+        light_s, events_s = (f"{a * 1e-9:.10g}..{b * 1e-9:.10g} s" for a, b in ((first, last), (ends[0], ends[-1])))
+        raise InputError(
+            f"{long.name}: no event lies within the light, at {light_s} of the camera's clock; events are at "
+            f"{events_s} (--align)"
+        )
+
+    def moved(events: Events, since: int) -> Events:
+        kept = events.select(np.s_[np.searchsorted(events.t, since) : np.searchsorted(events.t, last, side="right")])
+        return replace(kept, t=kept.t - zero_ns)
+
+    head = _with_light(long.head, light, alignment, outside)
+    if head.exposures is not None:
+        head = replace(head, exposures=moved(head.exposures, zero_ns))
 
     def parts() -> Iterator[Recording]:
         for part in long.read():
-            kept = part.events.select(np.s_[np.searchsorted(part.events.t, first) :])
-            kept = kept.select(np.s_[: np.searchsorted(kept.t, last, side="right")])
             edges = None if part.triggers is None else part.triggers.shifted(-zero_ns)
-            yield replace(head, events=replace(kept, t=kept.t - zero_ns), triggers=edges)
+            yield replace(head, events=moved(part.events, first), triggers=edges)
 
-    return LongRecording(head, parts)
+    return like(recording, LongRecording(head, parts))
 
 
 def sample_to_align(long: LongRecording, seed: int = 0) -> Recording:
@@ -187,7 +182,7 @@ def _span_ns(recording: Recording, light: Light, alignment: Alignment) -> tuple[
     return zero_ns, max(first, zero_ns), last
 
 
-def _beside(recording: Recording, light: Light, alignment: Alignment, outside: int) -> Recording:
+def _with_light(recording: Recording, light: Light, alignment: Alignment, outside: int) -> Recording:
     """The recording with the light on its new clock, and with how that was found."""
     zero_ns, _, _ = _span_ns(recording, light, alignment)
     rate, offset_s = 1.0 + alignment.rate_error, alignment.offset_s - zero_ns * 1e-9
@@ -199,18 +194,6 @@ def _beside(recording: Recording, light: Light, alignment: Alignment, outside: i
     if ATTRIBUTE in attributes:
         attributes[ATTRIBUTE] = kept_of(recording).shifted(zero_ns * 1e-9).as_dict()
     return replace(recording, stimulus=light.shifted(offset_s, rate), attributes=attributes)
-
-
-def _nothing_inside(name: str, light_ns: tuple[int, int], events_ns: tuple[int, int]) -> InputError:
-    light, events = (f"{first * 1e-9:.10g}..{last * 1e-9:.10g} s" for first, last in (light_ns, events_ns))
-    return InputError(
-        f"{name}: no event lies within the light, at {light} of the camera's clock; events are at {events} (--align)"
-    )
-
-
-def _moved(events, zero_ns: int, last_ns: int):
-    kept = events.select((events.t >= zero_ns) & (events.t <= last_ns))
-    return replace(kept, t=kept.t - zero_ns)
 
 
 def trigger_edges(recording: Recording, light: Light, how: str = "trigger") -> tuple[np.ndarray, np.ndarray, float]:

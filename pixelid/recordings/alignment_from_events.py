@@ -34,11 +34,14 @@ from pixelid.recordings.alignment_filter import (
 )
 from pixelid.recordings.alignment_search import (
     LEAST_COMMON,
+    MOST_BINS,
     RIVALS,
+    WIDEST_BIN_S,
     best_starts,
     changes_of,
     correlate,
     distinct,
+    is_too_long,
     lights_of,
     lowest,
     scan_offsets,
@@ -165,8 +168,14 @@ def align_events(recording: Recording, light: Light, polarity: int = 1) -> Event
         polarity: −1 for a recording whose ON and OFF are exchanged.
 
     Raises:
-        InputError: constant light, and too few events.
+        InputError: constant light, too few events, and spans too long to search.
     """
+    if is_too_long(recording, light):
+        raise InputError(
+            f"{recording.name}: --align auto: expected events and light of {MOST_BINS * WIDEST_BIN_S:.0f} s together, "
+            f"found {recording.events.duration_s:.0f} s and {light.duration_s:.0f} s; give --align SECONDS, or a part "
+            "of both"
+        )
     recording, lights, of_pixel = lights_of(recording, light)
     changes = changes_of(recording, of_pixel, polarity)
     few = stretches(changes, COMPARED)

@@ -15,6 +15,7 @@ from pixelid.stimuli.pixel_lights import Light, pixel_lights
 from pixelid.stimuli.stimulus import Stimulus
 
 MOST_BINS = 1 << 21  # of the correlation, 16 MiB a transform
+WIDEST_BIN_S = 2e-3  # that leads to the right start: refinements move by as much
 MOST_EVENTS = 300_000  # sorted by pixel
 SCREENED = 600  # by which starts are chosen
 CANDIDATES = 8  # peaks of the correlation
@@ -22,6 +23,11 @@ SCANNED = 6_000  # offsets of the scan: each half a bin of a chirp to 300 Hz ove
 MOST_LIGHTS = 8  # of pixels' own, those with most events: more would tell no other offset
 LEAST_COMMON = 0.4  # of the best's changes: of two or more periods, a shift by one leaves half
 RIVALS = 5  # offsets compared with the best
+
+
+def is_too_long(recording: Recording, light: Light) -> bool:
+    """Whether events and light last longer than all offsets between them can be searched in fine enough bins."""
+    return recording.events.duration_s + light.duration_s > MOST_BINS * WIDEST_BIN_S
 
 
 def lights_of(

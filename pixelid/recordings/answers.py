@@ -1,4 +1,4 @@
-"""Recordings and arrays on a pipe: a header of JSON, then the raw columns that it describes, in its order.
+"""Recordings and arrays on a pipe: a header of JSON, then the columns that it names, as NumPy stores them.
 
 Only numbers and JSON come back from a process that read a file, nothing that is executed.
 """
@@ -6,6 +6,7 @@ Only numbers and JSON come back from a process that read a file, nothing that is
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import IO, Any
 
@@ -27,106 +28,67 @@ class Counted:
     def __init__(self, pipe: IO[bytes]) -> None:
         self._pipe, self.count = pipe, 0
 
-    def read(self, count: int) -> bytes:
+    def read(self, count: int = -1, /) -> bytes:
+        """So many bytes.  Raises EOFError where the pipe ends before."""
         data = self._pipe.read(count)
         self.count += len(data)
+        if len(data) < count:
+            raise EOFError
         return data
 
-    def readinto(self, view: memoryview) -> int:
-        count = self._pipe.readinto(view) or 0  # type: ignore[attr-defined]
-        self.count += count
-        return count
 
-
-def taken_apart(recording: Recording, arrays: list[np.ndarray]) -> dict[str, Any]:
-    """The recording as JSON, its columns appended to `arrays`."""
-
-    def column(values: np.ndarray) -> dict:
-        arrays.append(np.ascontiguousarray(values))
-        return {"dtype": values.dtype.str, "shape": list(values.shape)}
-
-    def events(some: Events | None) -> dict | None:
-        if some is None:
-            return None
-        columns = {name: column(getattr(some, name)) for name in "txyp"}
-        return {**columns, "width": some.width, "height": some.height, "tick_ns": some.tick_ns}
-
+def taken_apart(recording: Recording) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """The recording as JSON, and its columns by name."""
     light, edges = recording.stimulus, recording.triggers
-    return {
-        "events": events(recording.events),
-        "exposures": events(recording.exposures),
-        "stimulus": None
-        if light is None
-        else {
-            **{name: column(array) for name, array in light.arrays.items()},
-            "unit": light.unit,
-            "interpolation": light.interpolation,
-        },
-        "triggers": None if edges is None else {name: column(getattr(edges, name)) for name in EDGE_COLUMNS},
-        "condition": recording.condition,
-        "sensor": recording.sensor,
-        "pooled": recording.pooled,
-        "attributes": plain(recording.attributes),
-    }
+    header: dict[str, Any] = {name: getattr(recording, name) for name in ("condition", "sensor", "pooled")}
+    header["attributes"] = plain(recording.attributes)
+    columns = {}
+    for name in ("events", "exposures"):
+        some = getattr(recording, name)
+        if some is not None:
+            header[name] = {"width": some.width, "height": some.height, "tick_ns": some.tick_ns}
+            columns |= {f"{name}/{letter}": getattr(some, letter) for letter in "txyp"}
+    if light is not None:
+        header["stimulus"] = {"unit": light.unit, "interpolation": light.interpolation}
+        columns |= {f"stimulus/{name}": array for name, array in light.arrays.items()}
+    if edges is not None:
+        header["triggers"] = {}
+        columns |= {f"triggers/{name}": getattr(edges, name) for name in EDGE_COLUMNS}
+    return header, columns
 
 
-def assembled(answer: dict[str, Any], path: Path) -> Recording:
-    """The recording of an answer whose columns are arrays."""
+def assembled(header: dict[str, Any], columns: dict[str, np.ndarray], path: Path) -> Recording:
+    """The recording of an answer."""
 
-    def events(some: dict | None) -> Events | None:
-        return None if some is None else Events(**some)
+    def made(name: str, kind: Callable[..., Any]) -> Any:
+        mine = {key.partition("/")[2]: array for key, array in columns.items() if key.startswith(f"{name}/")}
+        return kind(**mine, **header[name]) if name in header else None
 
-    light, edges = answer["stimulus"], answer["triggers"]
-    measured = events(answer["events"])
-    assert measured is not None
     return Recording(
-        events=measured,
-        stimulus=None if light is None else (PixelLights.from_arrays if "of_pixel" in light else Stimulus)(**light),
-        condition=printable(answer["condition"]),
-        sensor=printable(answer["sensor"]),
-        pooled=answer["pooled"],
+        events=made("events", Events),
+        stimulus=made("stimulus", PixelLights.from_arrays if "stimulus/of_pixel" in columns else Stimulus),
+        condition=printable(header["condition"]),
+        sensor=printable(header["sensor"]),
+        pooled=header["pooled"],
         source=path,
-        attributes=answer["attributes"],
-        triggers=None if edges is None else Triggers(**edges),
-        exposures=events(answer["exposures"]),
+        attributes=header["attributes"],
+        triggers=made("triggers", Triggers),
+        exposures=made("exposures", Events),
     )
 
 
-def send(pipe: IO[bytes], header: dict, arrays: list[np.ndarray]) -> None:
+def send(pipe: IO[bytes], header: dict[str, Any], columns: Mapping[str, np.ndarray]) -> None:
     """Write a header and its columns."""
-    text = json.dumps(header).encode()
+    text = json.dumps([header, list(columns)]).encode()
     pipe.write(len(text).to_bytes(8, "little") + text)
-    for array in arrays:
+    for column in columns.values():
+        array = np.ascontiguousarray(column)
+        np.lib.format.write_array_header_2_0(pipe, np.lib.format.header_data_from_array_1_0(array))
         pipe.write(array.reshape(-1).view(np.uint8).data)
     pipe.flush()
 
 
-def receive(pipe: Counted) -> dict[str, Any]:
-    """The header of an answer, each description of a column replaced by the column, in the order they were sent."""
-    header = json.loads(_exactly(pipe, int.from_bytes(_exactly(pipe, 8), "little")))
-
-    def filled(value: Any) -> Any:
-        if isinstance(value, dict) and value.keys() == {"dtype", "shape"}:
-            array = np.empty(value["shape"], np.dtype(value["dtype"]))
-            _fill(pipe, array.reshape(-1).view(np.uint8))
-            return array
-        return {k: filled(v) for k, v in value.items()} if isinstance(value, dict) else value
-
-    attributes = header.pop("attributes", {})
-    return {**filled(header), "attributes": attributes}
-
-
-def _exactly(pipe: Counted, count: int) -> bytes:
-    data = pipe.read(count)
-    if len(data) < count:
-        raise EOFError
-    return data
-
-
-def _fill(pipe: Counted, array: np.ndarray) -> None:
-    view, done = array.data, 0
-    while done < len(view):
-        count = pipe.readinto(view[done:])
-        if not count:
-            raise EOFError
-        done += count
+def receive(pipe: Counted) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """The header of an answer and its columns.  Raises EOFError or ValueError where it is cut."""
+    header, names = json.loads(pipe.read(int.from_bytes(pipe.read(8), "little")))
+    return header, {name: np.lib.format.read_array(pipe, allow_pickle=False) for name in names}

@@ -51,24 +51,8 @@ def floats_to_ns(t: np.ndarray, unit: str, where: str) -> np.ndarray:
     return np.rint(nanoseconds / last).astype(np.int64) * last
 
 
-def duplicated(events: Events) -> np.ndarray:
-    """(d,) int64 indices of events that repeat an earlier one in t, x, y and p; O(n log n)."""
-    if len(events) < 2:
-        return np.empty(0, np.int64)
-    equal = events.t[1:] == events.t[:-1]
-    shared = np.zeros(len(events), bool)
-    shared[1:] = equal
-    shared[:-1] |= equal
-    index = np.flatnonzero(shared)
-    address = (events.y[index].astype(np.int64) * events.width + events.x[index]) * 2 + events.p[index]
-    order = np.lexsort((address, events.t[index]))
-    index, address = index[order], address[order]
-    again = (address[1:] == address[:-1]) & (events.t[index[1:]] == events.t[index[:-1]])
-    return np.sort(index[1:][again])
-
-
 class RepeatCounter:
-    """Counts what `duplicated` finds, part by part: it remembers the addresses of the last time stamp only."""
+    """Counts events that repeat an earlier one, part by part; of the last time stamp it remembers the addresses."""
 
     def __init__(self) -> None:
         self._time_ns, self._addresses = -1, np.empty(0, np.int64)

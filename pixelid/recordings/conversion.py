@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from pixelid.errors import InputError
 from pixelid.recordings.crop import Crop
-from pixelid.recordings.parts import LongRecording
+from pixelid.recordings.parts import LongRecording, as_long
 from pixelid.recordings.reading import open_cropped, open_recording
 from pixelid.recordings.recording import Recording
 from pixelid.stimuli.pixel_lights import Light
@@ -54,21 +54,15 @@ def converted(
 
     light = load_stimulus(stimulus, (SENSOR, FRAMES)) if isinstance(stimulus, str | Path) else stimulus
     if align is None:  # light ends where the cut does
-        whole = open_cropped(source, Crop()).with_stimulus(light)
-        if isinstance(whole, LongRecording):
-            recording = crop.applied_to_parts(whole, seed)
-        else:
-            recording = crop.applied(whole, seed)
+        recording = crop.applied(open_cropped(source, Crop()).with_stimulus(light), seed)
         recording.check_stimulus_covers_events()
         return recording, ""
-    from pixelid.recordings.alignment import aligned, aligned_parts, find_alignment, sample_to_align
+    from pixelid.recordings.alignment import aligned, find_alignment, sample_to_align
 
     part = open_cropped(source, crop, seed)
     alignment = find_alignment(sample_to_align(part, seed) if isinstance(part, LongRecording) else part, light, align)
     light = _until(light, alignment, crop, source)
-    together = (
-        aligned_parts(part, light, alignment) if isinstance(part, LongRecording) else aligned(part, light, alignment)
-    )
+    together = aligned(part, light, alignment)
     together.check_stimulus_covers_events()
     return together, alignment.sentence()
 
@@ -95,7 +89,6 @@ def _until(light: Light, alignment: Alignment, crop: Crop, source: Path) -> Ligh
         return light
     end_s = crop.time_s[1]
     if crop.from_first:
-        whole = open_cropped(source, Crop())
-        parts = whole.read() if isinstance(whole, LongRecording) else [whole]
+        parts = as_long(open_cropped(source, Crop())).read()
         end_s += next((int(part.events.t[0]) for part in parts if len(part.events)), 0) * 1e-9
     return light.until((end_s - alignment.offset_s) / (1.0 + alignment.rate_error))

@@ -11,7 +11,7 @@ from pixelid.errors import InputError
 from pixelid.recordings.columns import INT64_MAX
 from pixelid.recordings.events import Events
 from pixelid.recordings.kept import ATTRIBUTE, Kept, kept_of
-from pixelid.recordings.parts import LongRecording
+from pixelid.recordings.parts import Either, LongRecording, as_long, as_whole, like
 from pixelid.recordings.recording import Recording
 from pixelid.stimuli.pixel_lights import Light, pixel_lights
 
@@ -44,23 +44,8 @@ def crop(
     Raises:
         InputError: for a region outside the sensor, an empty span, and when no event is left of some.
     """
-    events = recording.events
-    span = _nanoseconds(time_s, int(events.t[0]) if from_first and len(events) else 0)
-    keep = _inside(events, roi, span, without)
-    kept = _kept(recording, roi, span, without)
-    if pixels is not None:
-        size = events.width * events.height
-        chosen = _chosen(np.unique(events.pixel[keep]), pixels, seed, size)
-        keep &= np.isin(events.pixel, chosen)
-        kept = replace(kept, pixels=len(chosen))
-    elif kept.pixels is not None:
-        kept = replace(kept, pixels=_left([events], roi, without))
-    if len(events) and not keep.any():
-        raise _nothing_left(recording.name, len(events), (events.t[0], events.t[-1]))
-    left, light = events.select(keep), _light_until(recording, span)
-    if roi or pixels:
-        light = _restricted(light, left, np.unique(left.pixel))
-    return replace(_noted(recording, kept), events=left, stimulus=light)
+    cut = Crop(roi, time_s, pixels, from_first=from_first)
+    return as_whole(_cropped(as_long(recording), cut, np.empty(0, np.int64) if without is None else without, seed))
 
 
 def _nanoseconds(time_s: tuple[float, float] | None, since_ns: int) -> tuple[int, int] | None:
@@ -99,14 +84,14 @@ def _inside(events: Events, roi, span: tuple[int, int] | None, without: np.ndarr
     return keep
 
 
-def _kept(recording: Recording, roi, span: tuple[int, int] | None, without: np.ndarray | None) -> Kept:
+def _kept(recording: Recording, roi, span: tuple[int, int] | None, without: np.ndarray) -> Kept:
     """What a cut leaves of the region and the time of a recording, which may have been cut before.
 
     Raises:
         InputError: nothing of the region or of the time.
     """
     before, events = kept_of(recording), recording.events
-    hot = np.empty(0, np.int64) if without is None else np.unique(without)
+    hot = np.unique(without)
     x0, y0, x1, y1 = roi or before.roi
     x, y = hot % events.width, hot // events.width
     hot = hot[(x >= x0) & (x < x1) & (y >= y0) & (y < y1)]
@@ -124,10 +109,6 @@ def _left(parts: Iterable[Events], roi, without: np.ndarray | None) -> int:
     """How many pixels of a region have events at any time; of pixels that were chosen, all have."""
     seen = [np.unique(events.pixel[_inside(events, roi, None, without)]) for events in parts]
     return len(np.unique(np.concatenate(seen))) if seen else 0
-
-
-def _noted(recording: Recording, kept: Kept) -> Recording:
-    return replace(recording, attributes={**recording.attributes, ATTRIBUTE: kept.as_dict()})
 
 
 def _chosen(present: np.ndarray, pixels: int, seed: int, size: int) -> np.ndarray:
@@ -189,83 +170,76 @@ class Crop:
             self.without_hot_pixels or other.without_hot_pixels, span[1],
         )  # fmt: skip
 
-    def applied(self, recording: Recording, seed: int = 0) -> Recording:
-        """The part of the recording that is asked for; `seed` chooses the pixels.
+    def applied(self, recording: Either, seed: int = 0) -> Either:
+        """The part of a recording that is asked for; `seed` chooses the pixels.
+
+        One that does not lie in memory is read as often as this takes, and again with what is returned.
 
         Raises:
             InputError: as `crop`.
         """
         if self == Crop():
             return recording
-        hot = None
-        if self.without_hot_pixels:
-            from pixelid.inspection.hot_pixels import find_hot_pixels
+        long = as_long(recording)
+        hot = _hot_pixels(long) if self.without_hot_pixels else np.empty(0, np.int64)
+        return like(recording, _cropped(long, self, hot, seed))
 
-            hot = np.array([p.y * recording.events.width + p.x for p in find_hot_pixels(recording.events)], np.int64)
-        return crop(
-            recording, roi=self.roi, time_s=self.time_s, pixels=self.pixels, without=hot, seed=seed,
-            from_first=self.from_first,
-        )  # fmt: skip
 
-    def applied_to_parts(self, long: LongRecording, seed: int = 0) -> LongRecording:
-        """The same of a recording that does not lie in memory; pixels are counted in a reading before.
+def _hot_pixels(long: LongRecording) -> np.ndarray:
+    """(k,) flat indices."""
+    from pixelid.inspection.hot_pixels import hot_of_counts
 
-        Raises:
-            InputError: as `crop`.
-        """
-        if self == Crop():
-            return long
-        head, since = long.head, 0
-        if self.from_first:
-            since = next((int(part.events.t[0]) for part in long.read() if len(part.events)), 0)
-        span = _nanoseconds(self.time_s, since)
-        _inside(head.events, self.roi, span, None)  # refuses what cannot be
-        size = head.events.width * head.events.height
-        hot = np.empty(0, np.int64)
-        if self.without_hot_pixels:
-            from pixelid.inspection.hot_pixels import hot_of_counts
+    width, height = long.head.events.width, long.head.events.height
+    counts, ends = np.zeros(width * height, np.int64), []
+    for part in long.read():
+        counts += np.bincount(part.events.pixel, minlength=len(counts))
+        ends = _ends(ends, part.events)
+    seconds = float(ends[-1] - ends[0]) * 1e-9 if ends else 0.0
+    return np.array([p.y * width + p.x for p in hot_of_counts(counts.reshape(height, width), seconds)], np.int64)
 
-            counts, ends = np.zeros(size, np.int64), []
-            for part in long.read():
-                counts += np.bincount(part.events.pixel, minlength=size)
-                ends = _ends(ends, part.events)
-            width, height = head.events.width, head.events.height
-            seconds = float(ends[-1] - ends[0]) * 1e-9 if ends else 0.0
-            hot = np.array([p.y * width + p.x for p in hot_of_counts(counts.reshape(height, width), seconds)], np.int64)
-        light, kept = _light_until(head, span), _kept(head, self.roi, span, hot)
-        own = light is not None and light.size == (head.events.width, head.events.height)
-        chosen: np.ndarray | None = None
-        if self.pixels is not None or (self.roi is not None and own):
-            seen, events, ends = np.zeros(size, bool), 0, []
-            for part in _before_end(long.read(), span):
-                ends = _ends(ends, part.events)
-                seen[part.events.pixel[_inside(part.events, self.roi, span, hot)]] = True
-                events += len(part.events)
-            if events and not seen.any():
-                raise _nothing_left(long.name, events, ends)
-            chosen = seen
-            if self.pixels is not None:
-                chosen = np.zeros(size, bool)
-                chosen[_chosen(np.flatnonzero(seen), self.pixels, seed, size)] = True
-                kept = replace(kept, pixels=int(chosen.sum()))
-            light = _restricted(light, head.events, np.flatnonzero(chosen))
-        if kept.pixels is not None and self.pixels is None:
-            kept = replace(kept, pixels=_left((part.events for part in long.read()), self.roi, hot))
-        head = replace(_noted(head, kept), stimulus=light)
 
-        def cropped() -> Iterator[Recording]:
-            events, left, ends = 0, 0, []
-            for part in _before_end(long.read(), span):
-                keep = _inside(part.events, self.roi, span, hot)
-                if chosen is not None:
-                    keep &= chosen[part.events.pixel]
-                events, left = events + len(keep), left + int(np.count_nonzero(keep))
-                ends = _ends(ends, part.events)
-                yield replace(_noted(part, kept), events=part.events.select(keep), stimulus=light)
-            if events and not left:
-                raise _nothing_left(long.name, events, ends)
+def _cropped(long: LongRecording, crop: Crop, hot: np.ndarray, seed: int) -> LongRecording:
+    """What a cut leaves, without the flat pixel indices `hot`; pixels are counted in a reading before."""
+    head, since, roi = long.head, 0, crop.roi
+    if crop.from_first:
+        since = next((int(part.events.t[0]) for part in long.read() if len(part.events)), 0)
+    span = _nanoseconds(crop.time_s, since)
+    _inside(head.events, roi, span, None)  # refuses what cannot be
+    size = head.events.width * head.events.height
+    light, kept = _light_until(head, span), _kept(head, roi, span, hot)
+    own = light is not None and light.size == (head.events.width, head.events.height)
+    chosen: np.ndarray | None = None
+    if crop.pixels is not None or (roi is not None and own):
+        seen, events, ends = np.zeros(size, bool), 0, []
+        for part in _before_end(long.read(), span):
+            ends = _ends(ends, part.events)
+            seen[part.events.pixel[_inside(part.events, roi, span, hot)]] = True
+            events += len(part.events)
+        if events and not seen.any():
+            raise _nothing_left(long.name, events, ends)
+        chosen = seen
+        if crop.pixels is not None:
+            chosen = np.zeros(size, bool)
+            chosen[_chosen(np.flatnonzero(seen), crop.pixels, seed, size)] = True
+            kept = replace(kept, pixels=int(chosen.sum()))
+        light = _restricted(light, head.events, np.flatnonzero(chosen))
+    if kept.pixels is not None and crop.pixels is None:
+        kept = replace(kept, pixels=_left((part.events for part in long.read()), roi, hot))
+    noted = {**head.attributes, ATTRIBUTE: kept.as_dict()}
 
-        return LongRecording(head, cropped)
+    def cropped() -> Iterator[Recording]:
+        events, left, ends = 0, 0, []
+        for part in _before_end(long.read(), span):
+            keep = _inside(part.events, roi, span, hot)
+            if chosen is not None:
+                keep &= chosen[part.events.pixel]
+            events, left = events + len(keep), left + int(np.count_nonzero(keep))
+            ends = _ends(ends, part.events)
+            yield replace(part, events=part.events.select(keep), stimulus=light, attributes=noted)
+        if events and not left:
+            raise _nothing_left(long.name, events, ends)
+
+    return LongRecording(replace(head, stimulus=light, attributes=noted), cropped)
 
 
 def _before_end(parts: Iterator[Recording], span: tuple[int, int] | None) -> Iterator[Recording]:

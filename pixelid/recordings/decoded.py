@@ -1,4 +1,4 @@
-"""Camera makers' files: AEDAT4 and ES by the library faery, Prophesee's by `evt`, `evt21` and `dat`."""
+"""Camera makers' files: AEDAT4 and ES by the library faery, Prophesee's by `evt` and `dat`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import TypeVar
 import numpy as np
 
 from pixelid.errors import InputError, first_line
-from pixelid.recordings import dat, evt, evt21
+from pixelid.recordings import dat, evt
 from pixelid.recordings.bias_files import biases_beside
 from pixelid.recordings.columns import PART_EVENTS, to_nanoseconds
 from pixelid.recordings.events import Events
@@ -26,10 +26,18 @@ Packet = TypeVar("Packet")
 
 TYPES: dict = {".aedat4": "aedat", ".raw": "evt", ".dat": "dat", ".es": "es"}
 AEDAT_EDGES = {1: True, 2: False, 3: True}  # external signal: rising edge, falling edge, pulse
-FORMATS: dict = {"EVT2": "evt2", "EVT21": "evt2.1", "EVT3": "evt3"}  # of newer headers
 NO_SIZE = (65535, 65535)  # of a file that states none
 MOST_PACKETS = 1 << 14  # of a part: packets of frames and samples hold no events
-VERSIONS: dict = {"2.0": "evt2", "2.1": "evt2.1", "3.0": "evt3", "2": "evt2", "3": "evt3"}
+VERSIONS = {
+    "2.0": "2.0",
+    "2.1": "2.1",
+    "3.0": "3.0",
+    "2": "2.0",
+    "3": "3.0",
+    "EVT2": "2.0",
+    "EVT21": "2.1",
+    "EVT3": "3.0",
+}
 
 
 # Sizes by the system number of older headers (Prophesee's OpenEB, `psee_raw_file_header.cpp` and `device_system_id.h`).
@@ -43,7 +51,7 @@ def opened(path: Path, options: ReadingOptions) -> RawEvents:
     Raises:
         InputError: when the file cannot be decoded, or holds several streams of which none is stated.
     """
-    header = _header(path)
+    header, start = _header(path)
     kind = TYPES.get(path.suffix.lower()) or ("aedat" if "source" in header else "evt")
     attributes: dict = {"header": header} if header else {}
     if found := biases_beside(path):
@@ -55,9 +63,8 @@ def opened(path: Path, options: ReadingOptions) -> RawEvents:
         return _aedat(path, raw, options)
     size, likely = _sizes(header)
     if kind == "evt":
-        return replace(raw, blocks=lambda: decode_evt(path, header, path), size=size, likely_sizes=likely)
+        return replace(raw, blocks=lambda: decode_evt(path, path), size=size, likely_sizes=likely)
     if kind == "dat" and header.get("Version") == "2":
-        start = _header_bytes(path)
         return replace(
             raw, blocks=lambda: (Block.of(c) for c in dat.decode(path, start)), size=size, likely_sizes=likely
         )
@@ -65,25 +72,20 @@ def opened(path: Path, options: ReadingOptions) -> RawEvents:
     return _others(path, kind, raw, None if wide is None or high is None else (wide, high))
 
 
-def decode_evt(path: Path, header: dict[str, str], named: Path) -> Iterator[Block]:
+def decode_evt(path: Path, named: Path) -> Iterator[Block]:
     """Blocks of a Prophesee RAW file; errors name the file `named`.
 
     Raises:
         InputError: when the file cannot be decoded.
     """
-    stated = header.get("format", "").partition(";")[0].upper()
-    version = VERSIONS.get(header.get("evt", "")) or FORMATS.get(stated)
-    if version == "evt2.1":
-        said = re.search(r"endianness=(\w+)", header.get("format", ""))
-        legacy = said.group(1) == "legacy" if said else None
-        yield from (Block.of(columns, edges) for columns, edges in evt21.decode(path, _header_bytes(path), legacy))
-        return
-
+    header, start = _header(path)
+    stated, *more = header.get("format", "").split(";")
+    version = VERSIONS.get(header.get("evt", "") or stated.upper())
     if version is None:
-        found = header.get("evt") or stated or "none"
+        found = header.get("evt") or stated.upper() or "none"
         raise InputError(f"{named}: expected EVT 2.0, 2.1 or 3.0 in the header, found {found[:40]}")
-    for columns, edges in evt.decode(path, _header_bytes(path), int(version[3]), named):
-        yield Block.of(columns, edges)
+    order = next((word.partition("=")[2] for word in more if word.startswith("endianness=")), "")
+    yield from evt.decode(path, start, version, named, order == "legacy" if order else None)
 
 
 def _aedat(path: Path, raw: RawEvents, options: ReadingOptions) -> RawEvents:
@@ -188,33 +190,22 @@ def _columns(parts: list) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarra
     return t, x, y, p.astype(np.uint8)
 
 
-def _header(path: Path) -> dict[str, str]:
-    """The `% name value` lines of a Prophesee file, or the camera's name in an AEDAT4 file."""
+def _header(path: Path) -> tuple[dict[str, str], int]:
+    """The `% name value` lines of a Prophesee file, or the camera's name in an AEDAT4 file; the bytes they take."""
     with path.open("rb") as file:
         head = file.read(1 << 16)
-    if head.startswith(b"#!AER-DAT4"):
-        source = re.search(rb'key="source"[^>]*>([^<]+)<', head)
-        return {"source": source.group(1).decode("latin1")} if source else {}
-    header = {}
-    for line in head.split(b"\n"):
-        if not line.startswith(b"% "):
-            break
-        name, _, value = line[2:].decode("latin1").strip().partition(" ")
-        header[name] = value
-    return header
-
-
-def _header_bytes(path: Path) -> int:
-    """The byte at which what follows the header begins."""
-    start = 0
-    with path.open("rb") as file:
-        for line in file:
-            if not line.startswith(b"% "):
-                break
+        file.seek(0)
+        if head.startswith(b"#!AER-DAT4"):
+            source = re.search(rb'key="source"[^>]*>([^<]+)<', head)
+            return ({"source": source.group(1).decode("latin1")} if source else {}), 0
+        header, start = {}, 0
+        while (line := file.readline(1 << 16)).startswith(b"% "):
             start += len(line)
-            if line.rstrip() == b"% end":
+            name, _, value = line[2:].decode("latin1").strip().partition(" ")
+            if name == "end":
                 break
-    return start
+            header[name] = value
+    return header, start
 
 
 def _sizes(header: dict[str, str]) -> tuple[tuple[int | None, int | None], tuple]:

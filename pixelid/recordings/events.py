@@ -60,17 +60,10 @@ class Events:
         return Events(self.t[keep], self.x[keep], self.y[keep], self.p[keep], self.width, self.height, self.tick_ns)
 
     @staticmethod
-    def empty(width: int, height: int, tick_ns: int = 1) -> Events:
-        """No events on a sensor of the given size."""
-        return Events.from_columns(
-            np.empty(0, np.int64),
-            np.empty(0, np.uint16),
-            np.empty(0, np.uint16),
-            np.empty(0, np.uint8),
-            width,
-            height,
-            tick_ns=tick_ns,
-        )
+    def empty(width: int, height: int, tick_ns: int = 1, where: str = "events") -> Events:
+        """No events on a sensor of the given size; `where` is named in errors of that."""
+        nothing = np.empty(0, np.int64)
+        return Events.from_columns(nothing, nothing, nothing, nothing, width, height, tick_ns=tick_ns, where=where)
 
     @staticmethod
     def from_columns(

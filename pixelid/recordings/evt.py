@@ -1,78 +1,88 @@
-"""Prophesee's EVT 2.0 and 3.0: words of 32 and of 16 bits, little-endian (docs.prophesee.ai, "Data Encoding Formats").
+"""Prophesee's EVT 2.0, 2.1 and 3.0: little-endian words of 32, 64 and 16 bits (docs.prophesee.ai, "Data Encoding
+Formats").
 
 EVT 2.0, from the highest bit: type (4), then for events (0 OFF, 1 ON) the low 6 bits of the time [µs], column (11) and
 row (11).  Type 8 carries the high 28 bits of the time; type 10 an edge at a trigger input: low 6 bits of the time,
 input in bits 8–12, rising in bit 0.
 
+EVT 2.1 has the same in the high half of its words; of events the column is that of the first of 32 neighbours, which a
+bit each of the low half are set for.  Some sensors (IMX636; `endianness=legacy` in the header, where it is stated) send
+the high half of each word first, others (GenX320) the low half.
+
 EVT 3.0 says only what changes: type (4), then 12 bits: row (0), one event's polarity and column (2), polarity and first
 column of vectors (3), a vector of 12 or 8 pixels (4, 5), which moves that column on, low and high 12 bits of the time
 (6, 8), an edge at a trigger input (10: input in bits 8–11, rising in bit 0).
 
-Both clocks roll over.  A fall of the high part by more than half its range is a rollover; any smaller one stays a fall,
+The clocks roll over.  A fall of the high part by more than half its range is a rollover; any smaller one stays a fall,
 which the check of the times refuses.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numba import njit
 
 from pixelid.errors import InputError
+from pixelid.recordings.raw import Block
 from pixelid.recordings.triggers import Triggers
 
-WORDS_AT_ONCE = 1 << 20
-HIGH_BITS = {2: 28, 3: 12}  # of the time, after which the high part rolls over
-KNOWN = {2: (0x0, 0x1, 0x8, 0xA), 3: (0x0, 0x2, 0x3, 0x4, 0x5, 0x6, 0x8, 0xA)}
+WORDS_AT_ONCE = 1 << 18  # up to 32 events each
 UNKNOWN = -1
 STATE = 6  # high part with rollovers, low part, row, first column of vectors, their polarity, rollovers
+TIME_HIGH = 8  # type of words
 
 
-def decode(path: Path, start: int, version: int, named: Path) -> Iterator[tuple[tuple, Triggers | None]]:
-    """Blocks of ((t µs, x, y, p), trigger edges or None); what comes before the first time is left out.
+def decode(path: Path, start: int, version: str, named: Path, swapped: bool | None = None) -> Iterator[Block]:
+    """Blocks of events, times in µs, with trigger edges; what comes before the first time is left out.
 
     Args:
         path: the file.
         start: byte at which its words begin.
-        version: 2 or 3.
+        version: of `FORMATS`.
         named: whom errors name.
+        swapped: of EVT 2.1, whether the high half of each word comes first; None: the first words show it.
 
     Raises:
         InputError: the file ends within a word, or holds words of unknown meaning only.
     """
-    size = 4 if version == 2 else 2
-    if left := (path.stat().st_size - start) % size:
-        raise InputError(f"{named}: expected words of {size} bytes after the header, found {left} bytes left over")
-    read: Callable = _evt2 if version == 2 else _evt3
-    state, seen, known, shift = np.full(STATE, UNKNOWN, np.int64), 0, 0, 28 if version == 2 else 12
+    form = FORMATS[version]
+    if left := (path.stat().st_size - start) % form.size:
+        raise InputError(f"{named}: expected words of {form.size} bytes after the header, found {left} bytes left over")
+    state, seen, known = np.full(STATE, UNKNOWN, np.int64), 0, 0
     state[STATE - 1] = 0
     with path.open("rb") as file:
         file.seek(start)
-        while len(data := file.read(size * WORDS_AT_ONCE)):
-            words = np.frombuffer(data, f"<u{size}")
-            known += int(np.isin((words >> words.dtype.type(shift)).astype(np.uint8), KNOWN[version]).sum())
+        while len(data := file.read(form.size * WORDS_AT_ONCE)):
+            words = np.frombuffer(data, f"<u{form.size}")
+            if form.halves:
+                other = (words << np.uint64(32)) | (words >> np.uint64(32))
+                swapped = _times(other) > _times(words) if swapped is None else swapped
+                words = other if swapped else words
+            kinds = (words >> words.dtype.type(8 * form.size - 4)).astype(np.uint8)
+            known += int(np.isin(kinds, form.known).sum())
             seen += len(words)
-            most = len(words) if version == 2 else _most(words)
+            most = form.most(words, kinds)
             t, x, y = np.empty((3, most), np.int64)
             p = np.empty(most, np.uint8)
             edges = np.empty((3, len(words)), np.int64)
-            events, count = read(words, state, 1 << HIGH_BITS[version], t, x, y, p, edges)
+            events, count = form.read(words, state, 1 << form.high_bits, t, x, y, p, edges)
             found = None
             if count:
                 when, channel, rising = edges[:, :count]
                 where = f"{named}: triggers"
                 found = Triggers.from_columns(when * 1000, rising, channel.astype(np.uint8), where=where)
-            yield (t[:events], x[:events], y[:events], p[:events]), found
+            yield Block(t[:events], x[:events], y[:events], p[:events], found)
     if seen and not known:
-        raise InputError(f"{named}: expected words of EVT {version}.0, found none in {seen}")
+        raise InputError(f"{named}: expected words of EVT {version}, found none in {seen}")
 
 
-def _most(words: np.ndarray) -> int:
-    """Events in words of EVT 3.0 at most."""
-    kind = words >> np.uint16(12)
-    return int((kind == 2).sum()) + 12 * int((kind == 4).sum()) + 8 * int((kind == 5).sum())
+def _times(words: np.ndarray) -> int:
+    """How many words of EVT 2.1 carry a time and nothing else: read the wrong way round they look like events."""
+    return int(np.count_nonzero((words >> np.uint64(60) == TIME_HIGH) & (words & np.uint64(0xFFFFFFFF) == 0)))
 
 
 @njit(cache=True, nogil=True)
@@ -98,6 +108,28 @@ def _evt2(words, state, span, t, x, y, p, edges):
         elif state[0] >= 0 and kind == 0xA:
             edges[0, m] = (state[0] << 6) | ((word >> 22) & 0x3F)
             edges[1, m], edges[2, m] = (word >> 8) & 0x1F, word & 1
+            m += 1
+    return n, m
+
+
+@njit(cache=True, nogil=True)
+def _evt21(words, state, span, t, x, y, p, edges):
+    """Fill the columns and edges (time, input, rising); returns how many of each."""
+    n = m = 0
+    for word in words:
+        high, mask = np.int64(word >> np.uint64(32)), np.int64(word & np.uint64(0xFFFFFFFF))
+        kind = high >> 28
+        if kind == 0x8:
+            _unrolled(high & 0xFFFFFFF, state, span)
+        elif state[0] >= 0 and kind <= 0x1:
+            for bit in range(32):
+                if (mask >> bit) & 1:
+                    t[n] = (state[0] << 6) | ((high >> 22) & 0x3F)
+                    x[n], y[n], p[n] = ((high >> 11) & 0x7FF) + bit, high & 0x7FF, kind
+                    n += 1
+        elif state[0] >= 0 and kind == 0xA:
+            edges[0, m] = (state[0] << 6) | ((high >> 22) & 0x3F)
+            edges[1, m], edges[2, m] = (high >> 8) & 0x1F, high & 1
             m += 1
     return n, m
 
@@ -138,3 +170,24 @@ def _evt3(words, state, span, t, x, y, p, edges):
             edges[0, m], edges[1, m], edges[2, m] = now, rest >> 8, rest & 1
             m += 1
     return n, m
+
+
+@dataclass(frozen=True)
+class _Format:
+    """size: bytes of a word;  high_bits: of the time, after which its high part rolls over;  known: types of words
+    most: events in words of these types at most;  halves: whether the halves of a word may be exchanged"""
+
+    size: int
+    high_bits: int
+    known: tuple[int, ...]
+    read: Callable
+    most: Callable[[np.ndarray, np.ndarray], int]
+    halves: bool = False
+
+
+FORMATS = {
+    "2.0": _Format(4, 28, (0x0, 0x1, 0x8, 0xA), _evt2, lambda words, kinds: len(words)),
+    "2.1": _Format(8, 28, (0x0, 0x1, 0x8, 0xA), _evt21, lambda words, kinds: 32 * int((kinds <= 1).sum()), halves=True),
+    "3.0": _Format(2, 12, (0x0, 0x2, 0x3, 0x4, 0x5, 0x6, 0x8, 0xA), _evt3, lambda words, kinds: int(
+        (kinds == 2).sum() + 12 * (kinds == 4).sum() + 8 * (kinds == 5).sum())),
+}  # fmt: skip

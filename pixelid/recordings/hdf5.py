@@ -31,17 +31,18 @@ from pixelid.recordings.bias_files import biases_beside
 from pixelid.recordings.columns import to_nanoseconds
 from pixelid.recordings.events import Events
 from pixelid.recordings.layouts import Arrays, Stream, chosen_stream
-from pixelid.recordings.metadata import FORMAT, MOST_SIZE, MOST_TICK_NS, VERSION, whole, yes_or_no
+from pixelid.recordings.metadata import FORMAT, MOST_SIZE, MOST_TICK_NS, VERSION, assemble, whole, yes_or_no
 from pixelid.recordings.raw import RawEvents
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.source import ReadingOptions
 from pixelid.recordings.statements import stated_size, stated_unit
-from pixelid.recordings.triggers import Triggers
-from pixelid.stimuli.pixel_lights import Light, light_from_arrays
+from pixelid.recordings.triggers import COLUMNS, Triggers
+from pixelid.stimuli.pixel_lights import light_from_arrays
 
 PIECE, WHOLE = 1 << 20, 1 << 22  # events taken at once; a compressed piece of more is taken once, with all others
 MOST_OBJECTS = 1000  # groups of a file
 SMALL_BYTES, MOST_RATIO = 1 << 26, 2000  # deflate compresses a thousandfold at most
+USUAL_LIGHT = (("unit", "relative"), ("interpolation", "linear"))
 NAMED = {"format", "version", "condition", "sensor", "pooled"}
 MILLISECONDS = ("ms_to_idx", "ms_map_idx")  # for every millisecond, the first event: so times are µs
 MILLISECOND_SIZES = (640, 480), (1280, 720)  # DSEC, EDS, VECtor; TUM-VIE
@@ -78,35 +79,53 @@ def _damage(path: Path) -> Iterator[None]:
 
 def _own(file, path: Path, attributes: dict, pooled: bool) -> RawEvents:
     """The project's own format, which states everything."""
-    head = Recording(
-        Events.empty(1, 1),
-        stimulus=_read_stimulus(file, path) if "stimulus" in file else None,
-        condition=str(attributes.get("condition", "")),
-        sensor=str(attributes.get("sensor", "")),
-        pooled=pooled,
-        source=path,
-        attributes={name: value for name, value in attributes.items() if name not in NAMED},
-        triggers=_read_triggers(file["triggers"], f"{path}: triggers") if "triggers" in file else None,
-    )
-    raw = _own_events(file, path, "events", head)
-    duplicates = None if pooled else _declared_duplicates(file["events"], f"{path}: events")
-    exposures = _own_events(file, path, "exposures", replace(head, triggers=None)) if "exposures" in file else None
-    return replace(raw, duplicates=duplicates, exposures=exposures)
+    triggers = light = None
+    if "triggers" in file:
+        columns = _columns(file, path, "triggers", COLUMNS)
+        triggers = Triggers.from_columns(*(columns[name][:] for name in COLUMNS), where=f"{path}: triggers")
+    if "stimulus" in file:
+        columns, stated = _columns(file, path, "stimulus", ("t", "radiance")), file["stimulus"].attrs
+        light_is: list[Any] = [_attribute(stated.get(name, usual)) for name, usual in USUAL_LIGHT]
+        arrays = {name: column[:] for name, column in columns.items()}
+        light = light_from_arrays(arrays, *light_is, f"{path}: stimulus")
+    labels = {name: str(attributes.get(name, "")) for name in ("condition", "sensor")}
+    meta = {**labels, "pooled": pooled, "attributes": {k: v for k, v in attributes.items() if k not in NAMED}}
+    head = replace(assemble(meta, Events.empty(1, 1), None, path, str(path)), stimulus=light, triggers=triggers)
+    duplicates, exposures = None, None
+    if not pooled and "events" in file:
+        value = file["events"].attrs.get("duplicates", 0)
+        where = f"{path}: events: attribute duplicates"
+        duplicates = 0 if np.size(value) == 1 and value == 0 else whole(value, where, 1 << 62)
+    if "exposures" in file:
+        exposures = _own_events(file, path, "exposures", replace(head, triggers=None))
+    return replace(_own_events(file, path, "events", head), duplicates=duplicates, exposures=exposures)
+
+
+def _columns(file, path: Path, name: str, needed: Sequence[str]) -> dict[str, Any]:
+    """The arrays of numbers in a group of the project's own format.
+
+    Raises:
+        InputError: it is none, or lacks one that is needed.
+    """
+    group, where = file.get(name), f"{path}: {name}"
+    found = ", ".join(group if hasattr(group, "keys") else file) or "nothing"
+    if not hasattr(group, "keys"):
+        raise InputError(f"{where}: expected a group with {', '.join(needed)}, found {found}")
+    columns = {key: item for key, item in group.items() if getattr(item, "shape", None)}
+    for key in needed:
+        if key not in columns:
+            raise InputError(f"{where}/{key}: missing; expected arrays {', '.join(needed)}, found {found}")
+    for key, column in columns.items():
+        if column.dtype.kind not in "iufb":
+            raise InputError(f"{where}/{key}: expected numbers, found {column.dtype}")
+    return columns
 
 
 def _own_events(file, path: Path, name: str, head: Recording) -> RawEvents:
-    where = f"{path}: {name}"
-    if name not in file or not hasattr(file[name], "keys"):
-        raise InputError(f"{path}: expected a group events with t, x, y, p; found {', '.join(file) or 'nothing'}")
-    group = file[name]
-    for letter in "txyp":
-        if letter not in group or not hasattr(group[letter], "shape"):
-            raise InputError(f"{where}/{letter}: missing; expected t, x, y, p, found {', '.join(group) or 'nothing'}")
-        if group[letter].ndim != 1:
-            raise InputError(f"{where}/{letter}: expected one column, found shape {group[letter].shape}")
-    lengths = {len(group[letter]) for letter in "txyp"}
-    if len(lengths) != 1:
-        raise InputError(f"{where}: t, x, y, p must have one length, found {', '.join(map(str, sorted(lengths)))}")
+    columns, group, where = _columns(file, path, name, "txyp"), file[name], f"{path}: {name}"
+    shapes = [columns[letter].shape for letter in "txyp"]
+    if len(set(shapes)) != 1 or len(shapes[0]) != 1:
+        raise InputError(f"{where}: t, x, y, p must have one length, found {', '.join(map(str, shapes))}")
     unit = _attribute(group["t"].attrs.get("unit", "us"))
     if unit not in ("ns", "us"):
         raise InputError(f"{where}/t: expected unit 'ns' or 'us', found {shown(unit)}")
@@ -117,9 +136,9 @@ def _own_events(file, path: Path, name: str, head: Recording) -> RawEvents:
         if value is None:
             raise InputError(f"{where}: attribute {side} is missing; expected the sensor's {side} in pixels")
         size.append(whole(value, f"{where}: attribute {side}", MOST_SIZE))
-    if group["t"].dtype.kind not in "iu":
-        raise InputError(f"{where}/t: expected integers, found {group['t'].dtype}")
-    stream = Stream(name, lengths.pop(), tuple(f"{name}/{letter}" for letter in "txyp"))
+    if columns["t"].dtype.kind not in "iu":
+        raise InputError(f"{where}/t: expected integers, found {columns['t'].dtype}")
+    stream = Stream(name, shapes[0][0], tuple(f"{name}/{letter}" for letter in "txyp"))
     return RawEvents(
         head, lambda: stream.blocks(_arrays(file, path)), where, str(unit),
         whole(tick, f"{where}: attribute tick_ns", MOST_TICK_NS), size=(size[0], size[1]), polarity="01",
@@ -271,40 +290,6 @@ def _attributes(file, path: Path) -> tuple[dict, bool, bool]:
         if not isinstance(attributes.get(name, ""), str | int | float):
             raise InputError(f"{path}: {name}: expected text, found {shown(attributes[name])}")
     return attributes, own, yes_or_no(attributes.get("pooled", False), f"{path}: pooled")
-
-
-def _declared_duplicates(group, where: str) -> int:
-    """How many events repeat an earlier one, as the file says."""
-    value = group.attrs.get("duplicates", 0)
-    return 0 if np.size(value) == 1 and value == 0 else whole(value, f"{where}: attribute duplicates", 1 << 62)
-
-
-def _read_triggers(group, where: str) -> Triggers:
-    if not hasattr(group, "keys"):
-        raise InputError(f"{where}: expected a group with t, rising, channel, found something else")
-    columns = []
-    for name in ("t", "rising", "channel"):
-        if name not in group or not hasattr(group[name], "shape") or group[name].ndim != 1:
-            raise InputError(f"{where}/{name}: expected one column, found {', '.join(group) or 'nothing'}")
-        columns.append(group[name][:])
-    t, rising, channel = columns
-    return Triggers.from_columns(t, rising, channel, where=where)
-
-
-def _read_stimulus(file, path: Path) -> Light:
-    group, where = file["stimulus"], f"{path}: stimulus"
-    if not hasattr(group, "keys"):
-        raise InputError(f"{where}: expected a group with t and radiance, found something else")
-    for name in ("t", "radiance"):
-        if name not in group:
-            raise InputError(f"{where}/{name}: missing; expected t and radiance, found {', '.join(group) or 'nothing'}")
-    unit: Any = _attribute(group.attrs.get("unit", "relative"))  # refused with the light where they are no text
-    interpolation: Any = _attribute(group.attrs.get("interpolation", "linear"))
-    columns = {name: group[name] for name in ("t", "radiance", "first", "of_pixel") if name in group}
-    for name, column in columns.items():
-        if not getattr(column, "shape", None) or column.dtype.kind not in "iuf":
-            raise InputError(f"{where}/{name}: expected an array of numbers, found {shown(column)}")
-    return light_from_arrays({name: column[:] for name, column in columns.items()}, unit, interpolation, where)
 
 
 def _attribute(value):

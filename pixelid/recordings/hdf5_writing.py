@@ -18,7 +18,7 @@ from pixelid.outputs import plain
 from pixelid.recordings.columns import RepeatCounter
 from pixelid.recordings.events import Events
 from pixelid.recordings.metadata import FORMAT, VERSION
-from pixelid.recordings.parts import LongRecording, cut
+from pixelid.recordings.parts import LongRecording, as_long
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.triggers import Triggers
 
@@ -28,10 +28,9 @@ DTYPES = {"t": np.int64, "x": np.uint16, "y": np.uint16, "p": np.uint8}
 
 def write(recording: Recording | LongRecording, path: Path) -> None:
     """Write a recording to a new HDF5 file, compressed, in blocks."""
-    if isinstance(recording, LongRecording):
-        head, parts, length = recording.head, recording.read(), None
-    else:
-        (head, parts), length = cut(recording), len(recording.events)
+    length = None if isinstance(recording, LongRecording) else len(recording.events)
+    long = as_long(recording)
+    head = long.head
     with _new_file(path) as file:
         file.attrs.update({"format": FORMAT, "version": VERSION, "condition": head.condition})
         file.attrs["sensor"] = head.sensor
@@ -40,7 +39,7 @@ def write(recording: Recording | LongRecording, path: Path) -> None:
         for name, value in head.attributes.items():
             file.attrs[name] = json.dumps(plain(value)) if isinstance(value, (dict, list, tuple)) else value
         group, edges, counter, repeats = _EventGroup(file, "events", head.events, length), [], RepeatCounter(), 0
-        for part in parts:
+        for part in long.read():
             group.append(part.events)
             edges.append(part.triggers)
             repeats += 0 if head.pooled else counter.add(part.events)

@@ -41,6 +41,7 @@ sys.path[:] = json.loads(sys.argv[1])
 from pixelid.recordings.reading_child import serve
 serve()
 """
+Answer = tuple[dict[str, Any], dict[str, np.ndarray]]  # header and columns
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 
 
@@ -51,41 +52,24 @@ def read_isolated(reader: str, path: Path, options: Mapping[str, Any] | None = N
         InputError: the reader's own; or that reading crashed, took too long, or needed too much memory.
     """
     path, size = _regular(path)
-    return _CHILD.read({"reader": reader, "options": dict(options or {})}, path, size)
-
-
-def _regular(path: Path) -> tuple[Path, int]:
-    """The file's absolute path and its size."""
-    path = path.resolve()
+    stated = dict(options or {})
     try:
-        status = path.stat()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
-    if not stat.S_ISREG(status.st_mode):
-        raise InputError(f"{path}: expected a regular file, found a device, pipe or socket")
-    refuse_hollow(path)
-    return path, status.st_size
+        answer = _CHILD.whole({"reader": reader, "options": stated}, path, size)
+    except OSError:  # no process can be started: read here
+        from pixelid.recordings.reading_child import recordings_of
+
+        return next(recordings_of(reader, path, stated))
+    return assembled(*answer, path)
 
 
-def stream_isolated(
-    reader: str, path: Path, options: Mapping[str, Any] | None = None
-) -> Iterator[Recording]:  # fmt: skip
+def stream_isolated(reader: str, path: Path, options: Mapping[str, Any] | None = None) -> Iterator[Recording]:
     """The same in parts: first the recording without events, then its parts.
 
     Raises:
         InputError: as `read_isolated`, also between parts.
     """
-    path, size = _regular(path)
-    child = _Child()
-    try:
-        process = child.start()
-        request = {"reader": reader, "options": dict(options or {}), "stream": True}
-        header = child.ask(process, request, path, size)
-        while header is not None:
-            yield assembled(header, path)
-            header = child.answer(process, path, size)
-    finally:
-        child.stop()
+    request = {"reader": reader, "options": dict(options or {}), "stream": True}
+    return (assembled(*answer, path) for answer in _streamed(request, path))
 
 
 def arrays_isolated(
@@ -102,20 +86,35 @@ def arrays_isolated(
     Raises:
         InputError: as `read_isolated`, also between steps.
     """
-    path, size = _regular(path)
     request = {"reader": function, "arguments": arguments, "stream": not single}
-    if single:
-        yield _CHILD.arrays(request, path, size)
-        return
+    answers = [_CHILD.whole(request, *_regular(path))] if single else _streamed(request, path)
+    return (columns for _, columns in answers)
+
+
+def _streamed(request: dict[str, Any], path: Path) -> Iterator[Answer]:
+    """Every answer to a request, of a process of its own."""
+    path, size = _regular(path)
     child = _Child()
     try:
-        process = child.start()
-        answer = child.ask(process, request, path, size)
+        answer = child.ask(request, path, size)
         while answer is not None:
-            yield answer["arrays"]
-            answer = child.answer(process, path, size)
+            yield answer
+            answer = child.answer(path, size)
     finally:
         child.stop()
+
+
+def _regular(path: Path) -> tuple[Path, int]:
+    """The file's absolute path and its size."""
+    path = path.resolve()
+    try:
+        status = path.stat()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+    if not stat.S_ISREG(status.st_mode):
+        raise InputError(f"{path}: expected a regular file, found a device, pipe or socket")
+    refuse_hollow(path)
+    return path, status.st_size
 
 
 class _Child:
@@ -126,32 +125,18 @@ class _Child:
         self._lock = threading.Lock()
         self._owner = 0
 
-    def read(self, request: dict[str, Any], path: Path, size: int) -> Recording:
-        """The recording that answers a request."""
+    def whole(self, request: dict[str, Any], path: Path, size: int) -> Answer:
+        """The one answer to a request.  Raises OSError where no process can be started."""
         with self._lock:
             try:
-                process = self.start()
-            except OSError:  # no process can be started: read here
-                from pixelid.recordings.reading_child import recordings_of
-
-                return next(recordings_of(request["reader"], path, request["options"]))
-            return assembled(self._whole(process, request, path, size), path)
-
-    def arrays(self, request: dict[str, Any], path: Path, size: int) -> dict[str, np.ndarray]:
-        """The arrays of a request that has one answer."""
-        with self._lock:
-            return self._whole(self.start(), request, path, size)["arrays"]
-
-    def _whole(self, process: subprocess.Popen, request: dict[str, Any], path: Path, size: int) -> dict[str, Any]:
-        try:
-            header = self.ask(process, request, path, size)
-        except InputError:
-            raise
-        except BaseException:  # an answer half read would be taken for the next one
-            self.stop()
-            raise
-        assert header is not None
-        return header
+                answer = self.ask(request, path, size)
+            except (InputError, OSError):
+                raise
+            except BaseException:  # an answer half read would be taken for the next one
+                self.stop()
+                raise
+            assert answer is not None
+            return answer
 
     def start(self) -> subprocess.Popen:
         """The process, which is started where none runs."""
@@ -164,38 +149,36 @@ class _Child:
         self._owner = os.getpid()
         return self._process
 
-    def ask(self, process: subprocess.Popen, request: dict, path: Path, size: int) -> dict[str, Any] | None:
-        """The answer to a request about a file of `size` bytes."""
-        assert process.stdin is not None
+    def ask(self, request: dict, path: Path, size: int) -> Answer | None:
+        """The first answer to a request about a file of `size` bytes."""
         limits = {"cpu_s": _cpu_s(size), "bytes": MEMORY_BYTES + MEMORY_PER_BYTE * size}
         request = {**request, "path": str(path), **limits}
-        return self.answer(process, path, size, json.dumps(request).encode() + b"\n")
+        self.start()
+        return self.answer(path, size, json.dumps(request).encode() + b"\n")
 
-    def answer(self, process: subprocess.Popen, path: Path, size: int, request: bytes = b"") -> dict[str, Any] | None:
+    def answer(self, path: Path, size: int, request: bytes = b"") -> Answer | None:
         """The next answer; None where there is no more."""
-        assert process.stdin is not None
-        assert process.stdout is not None
-        cpu_s = _cpu_s(size)
-        received = Counted(process.stdout)
-        answered = threading.Event()
-        watch = threading.Thread(target=_end_idle, args=(process, received, answered), daemon=True)
-        watch.start()
+        process = self._process
+        assert process is not None and process.stdin is not None and process.stdout is not None  # noqa: PT018
+        received, answered = Counted(process.stdout), threading.Event()
+        threading.Thread(target=_end_idle, args=(process, received, answered), daemon=True).start()
         try:
             process.stdin.write(request)
             process.stdin.flush()
-            answer = receive(received)
+            header, columns = receive(received)
         except (EOFError, OSError, ValueError):
             code = process.wait()
             self._process = None
             why = {
-                -signal.SIGPROF: f"took more than {cpu_s:.0f} s", -signal.SIGKILL: "hung, or took too much memory",
-            }.get(code, "made the decoder crash")  # fmt: skip
+                -signal.SIGPROF: f"took more than {_cpu_s(size):.0f} s",
+                -signal.SIGKILL: "hung, or took too much memory",
+            }.get(code, "made the decoder crash")
             raise InputError(f"{path}: damaged: reading it {why}") from None
         finally:
             answered.set()
-        if "error" in answer:
-            raise InputError(answer["error"])
-        return answer if answer.keys() & {"events", "arrays"} else None
+        if "error" in header:
+            raise InputError(header["error"])
+        return (header, columns) if header else None
 
     def stop(self) -> None:
         """End the process, if one runs."""

@@ -17,9 +17,9 @@ from pixelid.recordings.events import Events
 from pixelid.recordings.layouts import Arrays, Stream, chosen_stream
 from pixelid.recordings.raw import RawEvents
 from pixelid.recordings.recording import Recording
-from pixelid.recordings.source import ReadingOptions
+from pixelid.recordings.source import SENSOR_SIZES, ReadingOptions
 
-ATIS_SIZE, EXPOSURES = (304, 240), "EM"
+EXPOSURES = "EM"
 
 
 def opened(path: Path, options: ReadingOptions) -> RawEvents:
@@ -58,7 +58,7 @@ def opened(path: Path, options: ReadingOptions) -> RawEvents:
 def _raw(stream: Stream, arrays: Arrays, path: Path, atis: bool, streams=(), exposures=None) -> RawEvents:
     unit = stream.unit or ("us" if stream.name in ("TD", EXPOSURES) else None)
     head = Recording(Events.empty(1, 1), sensor="ATIS" if atis else "", source=path)
-    likely = ((ATIS_SIZE, " of an ATIS, which has exposure measurements"),) if atis else ()
+    likely = ((SENSOR_SIZES["ATIS"], " of an ATIS, which has exposure measurements"),) if atis else ()
     return RawEvents(head, lambda: stream.blocks(arrays), f"{path}: {stream.name}", unit, likely_sizes=likely,
                      from_one=True, inferred=stream.inferred, streams=streams, exposures=exposures)  # fmt: skip
 

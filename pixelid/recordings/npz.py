@@ -5,10 +5,9 @@ from __future__ import annotations
 import tempfile
 import zipfile
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -119,13 +118,13 @@ def write(
 ) -> None:
     """Write `recording` to a compressed .npz with t in nanoseconds and everything else in `metadata`.
 
-    Columns are packed one after the other, piece by piece: those of a long recording wait in raw files next to `path`
-    (13 bytes an event) until all its parts have been read, since a column's length stands before its first number.
+    The columns of a long recording wait in raw files next to `path` (13 bytes an event) until all its parts have been
+    read, since a column's length stands before its first number.
 
     Args:
         recording: Of any length; memory does not grow with it.
         path: To be written.
-        progress: Called with which column is being packed, and the share of all columns that is done.
+        progress: Called with which array is being packed, and the share of all that is done.
     """
     head = recording.head if isinstance(recording, LongRecording) else recording
     with ExitStack() as stack:
@@ -133,33 +132,23 @@ def write(
             folder = stack.enter_context(tempfile.TemporaryDirectory(prefix=".columns-", dir=path.parent))
             columns = _spilled(recording, Path(folder))
         else:
-            columns = {name: _in_memory(getattr(recording.events, name)) for name in COLUMNS}
+            columns = {name: getattr(recording.events, name) for name in COLUMNS}
+        light = {} if head.stimulus is None else {PREFIX + name: a for name, a in head.stimulus.arrays.items()}
+        arrays = {"metadata": np.array(metadata.to_json(head)), **columns, **light}
         archive = stack.enter_context(zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, allowZip64=True))
-        _pack(archive, "metadata", np.array(metadata.to_json(head)))
-        for k, (name, column) in enumerate(columns.items()):
-            for done in _packed(archive, name, column):
-                if progress is not None:
-                    progress(f"packing {name}", (k + done) / len(columns))
-        if head.stimulus is not None:
-            for name, array in head.stimulus.arrays.items():
-                _pack(archive, f"{PREFIX}{name}", array)
+        for k, (name, array) in enumerate(arrays.items()):
+            array = np.asarray(array, order="C")
+            flat = array.reshape(-1)
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                np.lib.format.write_array_header_1_0(member, np.lib.format.header_data_from_array_1_0(array))
+                for j in range(0, len(flat), PART_EVENTS):
+                    member.write(flat[j : j + PART_EVENTS].view(np.uint8).data)
+                    if progress is not None:
+                        progress(f"packing {name}", (k + min((j + PART_EVENTS) / len(flat), 1.0)) / len(arrays))
 
 
-class _Column(NamedTuple):
-    """Of an archive: type, shape, and its numbers in pieces, in the order of the file."""
-
-    dtype: np.dtype
-    shape: tuple[int, ...]
-    pieces: Iterable[np.ndarray]
-
-
-def _in_memory(array: np.ndarray) -> _Column:
-    flat = np.ascontiguousarray(array).reshape(-1)
-    return _Column(array.dtype, array.shape, (flat[k : k + PART_EVENTS] for k in range(0, flat.size, PART_EVENTS)))
-
-
-def _spilled(recording: LongRecording, folder: Path) -> dict[str, _Column]:
-    """The columns of a long recording, which is read once, each in a raw file of `folder`."""
+def _spilled(recording: LongRecording, folder: Path) -> dict[str, np.ndarray]:
+    """The columns of a long recording, which is read once, each mapped from a raw file of `folder`."""
     count = 0
     with ExitStack() as stack:
         files = {name: stack.enter_context((folder / name).open("wb")) for name in COLUMNS}
@@ -167,27 +156,5 @@ def _spilled(recording: LongRecording, folder: Path) -> dict[str, _Column]:
             for name, file in files.items():
                 file.write(np.ascontiguousarray(getattr(part.events, name), COLUMNS[name]).data)
             count += len(part.events)
-
-    def pieces(name: str) -> Iterator[np.ndarray]:
-        with (folder / name).open("rb") as file:
-            while data := file.read(PART_EVENTS * COLUMNS[name].itemsize):
-                yield np.frombuffer(data, COLUMNS[name])
-
-    return {name: _Column(dtype, (count,), pieces(name)) for name, dtype in COLUMNS.items()}
-
-
-def _pack(archive: zipfile.ZipFile, name: str, array: np.ndarray) -> None:
-    for _ in _packed(archive, name, _in_memory(array)):
-        pass
-
-
-def _packed(archive: zipfile.ZipFile, name: str, column: _Column) -> Iterator[float]:
-    """Write one array of the archive as np.savez does; the share that is written, after every piece."""
-    header = {"descr": np.lib.format.dtype_to_descr(column.dtype), "fortran_order": False, "shape": column.shape}
-    total, written = int(np.prod(column.shape, dtype=np.int64)), 0
-    with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
-        np.lib.format.write_array_header_1_0(member, header)
-        for piece in column.pieces:
-            member.write(piece.view(np.uint8).data)
-            written += piece.size
-            yield written / total
+    return {name: np.memmap(folder / name, dtype, "r") if count else np.empty(0, dtype)
+            for name, dtype in COLUMNS.items()}  # fmt: skip

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from typing import TypeVar, cast
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from pixelid.recordings.recording import Recording
 from pixelid.recordings.triggers import Triggers
 from pixelid.stimuli.pixel_lights import Light
 
+Either = TypeVar("Either", bound="Recording | LongRecording")
 WHOLE_EVENTS = 1 << 22  # up to which a recording lies in memory whole: inspection takes 67 bytes an event, 280 MB
 
 
@@ -119,8 +121,10 @@ def joined_if_short(long: LongRecording) -> Recording | LongRecording:
     return joined(long.head, parts)
 
 
-def cut(recording: Recording) -> tuple[Recording, Iterator[Recording]]:
-    """A recording that lies in memory, as a head and parts."""
+def as_long(recording: Recording | LongRecording) -> LongRecording:
+    """The recording as one that comes in parts, also where it lies in memory."""
+    if isinstance(recording, LongRecording):
+        return recording
     events = recording.events
     head = replace(recording, events=Events.empty(events.width, events.height, events.tick_ns), triggers=None)
 
@@ -129,4 +133,9 @@ def cut(recording: Recording) -> tuple[Recording, Iterator[Recording]]:
             some = events.select(np.s_[k : k + PART_EVENTS])
             yield replace(head, events=some, triggers=recording.triggers if k == 0 else None)
 
-    return head, parts()
+    return LongRecording(head, parts)
+
+
+def like(recording: Either, long: LongRecording) -> Either:
+    """What was made of a recording part by part, in memory if that lies there."""
+    return cast(Either, long if isinstance(recording, LongRecording) else as_whole(long))

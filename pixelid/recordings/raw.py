@@ -15,18 +15,10 @@ import numpy as np
 from pixelid.errors import InputError
 from pixelid.recordings.columns import PART_EVENTS, RepeatCounter, floats_to_ns, to_nanoseconds
 from pixelid.recordings.events import NS_PER_UNIT, Events
-from pixelid.recordings.parts import WHOLE_EVENTS
+from pixelid.recordings.parts import WHOLE_EVENTS, joined
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.rules import Statistics, decoded_polarity, infer_polarity, infer_unit
-from pixelid.recordings.source import (
-    EMPTY,
-    LARGEST,
-    OPTION,
-    SENSOR_SIZES,
-    ReadingOptions,
-    Source,
-    size_of_chip,
-)
+from pixelid.recordings.source import EMPTY, LARGEST, OPTION, SENSOR_SIZES, ReadingOptions, Source, size_of_chip
 from pixelid.recordings.triggers import Triggers
 
 MOST_STRETCHES = 100
@@ -136,11 +128,10 @@ def interpreted(raw: RawEvents, options: ReadingOptions) -> tuple[Recording, Ite
     tick_ns = raw.tick_ns or (NS_PER_UNIT.get(unit, 1) if counted else 1)
     exposures = None
     if raw.exposures is not None:
-        _, parts = interpreted(raw.exposures, replace(options, size=settled.size, clock=None))
-        exposures = _one([part.events for part in parts])
+        exposures = joined(*interpreted(raw.exposures, replace(options, size=settled.size, clock=None))).events
     head = replace(
         raw.head,
-        events=_no_events(settled.size, tick_ns, raw.where),
+        events=Events.empty(*settled.size, tick_ns, raw.where),
         attributes=attributes,
         exposures=exposures,
     )
@@ -149,11 +140,6 @@ def interpreted(raw: RawEvents, options: ReadingOptions) -> tuple[Recording, Ite
     else:
         columns = _of_stretch(settled, blocks, stretch)
     return replace(head, triggers=None), _parts(head, columns, raw)
-
-
-def _no_events(size: tuple[int, int], tick_ns: int, where: str) -> Events:
-    nothing = np.empty(0, np.int64)
-    return Events.from_columns(nothing, nothing, nothing, nothing, *size, tick_ns=tick_ns, where=where)
 
 
 def _looked_at(raw: RawEvents) -> tuple[Statistics, Callable[[], Iterator[Block]]]:
@@ -280,10 +266,3 @@ def _parts(head: Recording, columns: Iterator[Block], raw: RawEvents) -> Iterato
         edges = None
     if edges is not None:
         yield replace(head, triggers=edges)
-
-
-def _one(parts: list[Events]) -> Events | None:
-    if not parts:
-        return None
-    t, x, y, p = (np.concatenate([getattr(part, name) for part in parts]) for name in "txyp")
-    return Events(t, x, y, p, parts[0].width, parts[0].height, parts[0].tick_ns)

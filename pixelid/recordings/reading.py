@@ -81,7 +81,7 @@ def open_cropped(
 
     head = replace(next(stream_isolated(reader, path, stated)), source=path)
     announce(path, head.attributes)
-    cropped = crop.applied_to_parts(LongRecording(head, read), seed)
+    cropped = crop.applied(LongRecording(head, read), seed)
     recording = joined_if_short(cropped)
     if recording.stimulus is not None:
         recording.check_stimulus_covers_events()

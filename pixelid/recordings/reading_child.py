@@ -18,7 +18,7 @@ import numpy as np
 
 from pixelid.errors import InputError, on_command_line
 from pixelid.recordings.answers import send, taken_apart
-from pixelid.recordings.parts import cut, joined
+from pixelid.recordings.parts import as_long, joined
 from pixelid.recordings.raw import interpreted
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.source import ReadingOptions
@@ -54,49 +54,35 @@ def serve() -> None:
             with contextlib.suppress(ImportError):  # the reader will say so
                 importlib.import_module(name)
         _limit(request["cpu_s"], request["bytes"])
-        for header, arrays in _answers(request):
-            send(answers, header, arrays)
+        for header, columns in _answers(request):
+            send(answers, header, columns)
             if "arguments" in request:
                 _limit(request["cpu_s"], request["bytes"])
         _limit(0.0, request["bytes"])
 
 
-def _answers(request: dict[str, Any]) -> Iterator[tuple[dict[str, Any], list[np.ndarray]]]:
-    """What answers a request: headers, each with the columns that it describes."""
-    path = Path(request["path"])
+def _answers(request: dict[str, Any]) -> Iterator[tuple[dict[str, Any], dict[str, np.ndarray]]]:
+    """What answers a request: headers, each with its columns."""
+    name, path = request["reader"], Path(request["path"])
     try:
         if "arguments" in request:
-            yield from _of_function(request, path)
-            return
-        for recording in recordings_of(
-            request["reader"], path, request.get("options", {}), request.get("stream", False)
-        ):
-            arrays: list[np.ndarray] = []
-            yield taken_apart(recording, arrays), arrays
-        if request.get("stream"):
-            yield {}, []
+            for found in getattr(importlib.import_module(FUNCTIONS[name]), name)(path, **request["arguments"]):
+                yield {"arrays": True}, found
+                if not request["stream"]:
+                    return
+        else:
+            for recording in recordings_of(name, path, request.get("options", {}), request.get("stream", False)):
+                yield taken_apart(recording)
+        if "arguments" in request or request.get("stream"):
+            yield {}, {}
     except InputError as error:
         with on_command_line():  # as it was raised: whoever reads it spells it
-            yield {"error": str(error)}, []
+            yield {"error": str(error)}, {}
     except MemoryError:
-        yield {"error": f"{path}: damaged: it declares more than memory holds"}, []
+        yield {"error": f"{path}: damaged: it declares more than memory holds"}, {}
     except Exception as error:
         reason = str(error).splitlines()[0][:120] if str(error) else ""
-        yield {"error": f"{path}: damaged ({type(error).__name__}: {reason})"}, []
-
-
-def _of_function(request: dict[str, Any], path: Path) -> Iterator[tuple[dict[str, Any], list[np.ndarray]]]:
-    name = request["reader"]
-    for found in getattr(importlib.import_module(FUNCTIONS[name]), name)(path, **request["arguments"]):
-        arrays = [np.ascontiguousarray(array) for array in found.values()]
-        columns = {
-            key: {"dtype": array.dtype.str, "shape": list(array.shape)}
-            for key, array in zip(found, arrays, strict=True)
-        }
-        yield {"arrays": columns}, arrays
-        if not request["stream"]:
-            return
-    yield {}, []
+        yield {"error": f"{path}: damaged ({type(error).__name__}: {reason})"}, {}
 
 
 def recordings_of(
@@ -105,8 +91,9 @@ def recordings_of(
     """The recording in a file as a reader of `READERS` finds it, or a head and its parts."""
     module = importlib.import_module(READERS[reader])
     if not hasattr(module, "opened"):
-        head, parts = cut(module.read(path))
-        yield from (head, *parts) if in_parts else (joined(head, parts),)
+        whole = module.read(path)
+        long = as_long(whole)
+        yield from (long.head, *long.read()) if in_parts else (whole,)
         return
     stated = ReadingOptions.of(options or {})
     raw = module.opened(path, stated)

@@ -163,7 +163,7 @@ def _packets(path: Path, messages: list[bytes], cdr: bool, raw: RawEvents) -> Ra
         with tempfile.TemporaryDirectory() as folder:
             copy = Path(folder) / "payload.raw"
             copy.write_bytes(f"% evt 3.0\n% geometry {size[0]}x{size[1]}\n% end\n".encode() + payload)
-            yield from decode_evt(copy, {"evt": "3.0"}, path)
+            yield from decode_evt(copy, path)
 
     return replace(raw, head=head, blocks=blocks, unit="us", tick_ns=1000, size=size, notes=notes)
 

@@ -214,7 +214,8 @@ class Statistics:
             return
         for name, column in zip("txyp", (t, x, y, p), strict=True):
             if column.dtype.kind not in "iufb":
-                raise InputError(f"{where}/{name}: expected integers, found {shown(str(column[0]), 30)}")
+                found = f"{shown(str(column[0]), 30)}; another column may be meant: {OPTION['columns']}"
+                raise InputError(f"{where}/{name}: expected numbers, found {found}")
         if t.dtype.kind == "u":  # differences of unsigned numbers do not fall
             t = t.astype(np.int64 if t.max() < 1 << 63 else np.float64)
         steps = np.diff(t, prepend=t[0] if self.last is None else self.last)

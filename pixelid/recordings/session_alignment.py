@@ -17,6 +17,7 @@ import numpy as np
 
 from pixelid.recordings.alignment import GIVEN_SD_S, find_alignment, known_alignment
 from pixelid.recordings.alignment_from_events import LEAST_CHANGES, NEAR_S, EventAlignment, alignment_of
+from pixelid.recordings.alignment_search import is_too_long
 from pixelid.recordings.clocks import CRYSTAL, Alignment, ClockPrior
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.session_cases import Case, SharedRate, cases_of, is_constant, shared_rate
@@ -131,7 +132,8 @@ def _placed(case: Case, rate: SharedRate, others: SharedRate) -> RecordingAlignm
         count = len(case.events.equal_rivals) + 1
         return _result(case, None, rate, f"the light repeats itself: {count} starts fit equally well", doubts)
     if not is_constant(case.light) and len(case.recording.events):
-        reason = "too few events to find" if case.events is None else "the events follow neither this nor another light"
+        short = "too long a span to search" if is_too_long(case.recording, case.light) else "too few events to find"
+        reason = short if case.events is None else "the events follow neither this nor another light"
         if case.events is not None or len(case.recording.events) > LEAST_CHANGES:
             return _result(case, None, rate, f"not aligned: {reason}", doubts)
     alignment = _inherited(case, rate)

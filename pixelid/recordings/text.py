@@ -26,7 +26,7 @@ from pixelid.delimited import COMMENTS, DECIMAL_COMMA, HEAD_BYTES, NUMBER, SPACE
 from pixelid.errors import InputError, first_line, shown
 from pixelid.recordings import metadata
 from pixelid.recordings.events import NS_PER_UNIT, Events
-from pixelid.recordings.parts import LongRecording, cut
+from pixelid.recordings.parts import LongRecording, as_long
 from pixelid.recordings.raw import Block, RawEvents
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.rules import ROWS, infer_order, named_columns, numbers_of_words
@@ -108,8 +108,11 @@ def _header(path: Path) -> _Header:
                     header.names = names
             elif text:
                 cells, mark = cells_of(text.translate(BRACKETS).strip() if text[0] in "[(" else text)
-                if not any(NUMBER.fullmatch(cell) for cell in cells):
+                numbers = sum(NUMBER.fullmatch(cell) is not None for cell in cells)
+                if not numbers or (header.names is not None and any(_units(cells))):
                     _note_names(header, cells if cells[-1] else cells[:-1])
+                elif len(cells) < len("txyp") and not NUMBER.fullmatch(cells[0]):  # width: 640
+                    _note(header, text)
                 elif len(cells) == 2 and header.names is None and all(map(str.isdecimal, cells)):
                     header.size = int(cells[0]), int(cells[1])
                 else:
@@ -136,7 +139,7 @@ def _note(header: _Header, comment: str) -> None:
 
 def _note_names(header: _Header, cells: list[str]) -> None:
     """Names of columns, or the units of those that are named in the line before."""
-    units = [UNIT_OF.get(plain(cell).strip("[]()")) for cell in cells]
+    units = _units(cells)
     if header.names is not None and len(cells) == len(header.names) and any(units):
         header.names = [f"{name} [{unit}]" if unit else name for name, unit in zip(header.names, units, strict=True)]
         return
@@ -144,6 +147,11 @@ def _note_names(header: _Header, cells: list[str]) -> None:
     sides = {cell[0]: int(cell[2:]) for cell in cells if re.fullmatch(r"[xy]@\d{1,5}", cell)}
     if len(sides) == 2:
         header.size = sides["x"], sides["y"]
+
+
+def _units(cells: list[str]) -> list[str | None]:
+    """The unit of time that each cell is."""
+    return [UNIT_OF.get(plain(cell).strip("[]()")) for cell in cells]
 
 
 def _order(sample, header: _Header, options: ReadingOptions, where: str):
@@ -209,7 +217,7 @@ def _numbers(column: np.ndarray, where: str, before: int) -> np.ndarray:
     if not NUMBER.fullmatch(words[0]):
         return column.astype("U")
     for k, word in enumerate(column):
-        if not isinstance(word, int | float) and not NUMBER.fullmatch(str(word)):
+        if not isinstance(word, int | float) and not (NUMBER.fullmatch(str(word)) and str(word).lower() != "nan"):
             raise ValueError(f"{shown(word, 30)} in event {before + k}")
     raise ValueError(f"numbers that fit no column of 64 bits in {where}")
 
@@ -250,17 +258,17 @@ def _light(text: str, where: str) -> dict[str, np.ndarray]:
 
 def write(recording: Recording | LongRecording, path: Path) -> None:
     """Write `recording` as text, t in nanoseconds; a per-pixel stimulus is refused (use .h5 or .npz)."""
-    head, parts = (recording.head, recording.read()) if isinstance(recording, LongRecording) else cut(recording)
-    stimulus = head.stimulus
+    long = as_long(recording)
+    stimulus = long.head.stimulus
     if stimulus is not None and (isinstance(stimulus, PixelLights) or not stimulus.full_field):
         raise InputError(f"{path.name}: text holds no per-pixel stimulus; write .h5 or .npz")
     separator = "," if path.suffix.lower() == ".csv" else " "
     with path.open("w", encoding="utf-8") as file:
-        file.write(f"# {metadata.to_json(head)}\n")
+        file.write(f"# {metadata.to_json(long.head)}\n")
         if stimulus is not None:
             told = {"t": stimulus.t.tolist(), "radiance": stimulus.radiance.tolist()}
             file.write(f"# stimulus {json.dumps(told | {'dtype': stimulus.radiance.dtype.name})}\n")
         file.write(separator.join("txyp") + "\n")
-        for part in parts:
+        for part in long.read():
             rows = zip(*(getattr(part.events, letter).tolist() for letter in "txyp"), strict=True)
             file.writelines(f"{t}{separator}{x}{separator}{y}{separator}{p}\n" for t, x, y, p in rows)

@@ -15,6 +15,7 @@ from pixelid.stages.photocurrent import logarithm
 from pixelid.stimuli.stimulus import Stimulus
 
 HELD_S = 10.0  # longer than any dead time or clock delay
+PER_CYCLE, MOST_SAMPLES = 64, 1 << 25  # of mains flicker: 87 minutes at 100 Hz, 270 MB a column
 
 
 @dataclass(frozen=True)
@@ -104,8 +105,9 @@ def refined_radiance(t: np.ndarray, radiance: np.ndarray, longest_step: float) -
 def drive(stimulus: Stimulus, circuit: Circuit, until_s: float | None = None) -> Drive:
     """The effective radiance of a full-field stimulus under a circuit: dark current and flicker included.
 
-    Mains flicker is sampled at least 64 times per cycle.  Values may be complex.
-    Raises InputError for a per-pixel stimulus, and for radiance that dark current leaves at 0.
+    Mains flicker is sampled at least `PER_CYCLE` times per cycle.  Values may be complex.
+    Raises InputError for a per-pixel stimulus, for radiance that dark current leaves at 0, and for mains flicker over
+    so long a light that it would take more than `MOST_SAMPLES`.
     """
     if not stimulus.full_field:
         raise InputError("this needs a full-field stimulus, found one radiance per pixel")
@@ -114,7 +116,14 @@ def drive(stimulus: Stimulus, circuit: Circuit, until_s: float | None = None) ->
     if circuit.light_gain != 1.0:
         radiance = radiance * circuit.light_gain
     if circuit.flicker_modulation != 0:
-        t, radiance = refined_radiance(t, radiance, 1.0 / (64 * circuit.flicker_hz.real))
+        per_second = PER_CYCLE * circuit.flicker_hz.real
+        if per_second * (t[-1] - t[0]) > MOST_SAMPLES:
+            longest, found = MOST_SAMPLES / per_second, float(t[-1] - t[0])
+            raise InputError(
+                f"mains_flicker at {circuit.flicker_hz.real:g} Hz: expected light of at most {longest:.0f} s, found "
+                f"{found:.0f} s; take a part of it (--time), or leave it out (--without mains_flicker)"
+            )
+        t, radiance = refined_radiance(t, radiance, 1.0 / per_second)
         radiance = radiance * (
             1 + circuit.flicker_modulation * np.sin(2 * np.pi * circuit.flicker_hz * t + circuit.flicker_phase)
         )

@@ -76,7 +76,8 @@ def seconds(
 
 def _inferred(numbers: np.ndarray, name: str, say: Callable[[str], object], path: Path, place: str) -> np.ndarray:
     """Seconds, where nothing else is likely.  Raises InputError elsewhere."""
-    step = float(np.median(np.diff(numbers))) if len(numbers) > 1 else 0.0
+    finite = numbers[np.isfinite(numbers)]  # others are refused with the light
+    step = float(np.median(np.diff(finite))) if len(finite) > 1 else 0.0
     if step >= LONG_STEP_S:
         found = "whole numbers" if np.all(numbers == np.rint(numbers)) else f"steps of {step:g}"
         raise InputError(f"{path}: unit of the times not stated, found {found}: s, or ms or us{WAY.format(place)}")

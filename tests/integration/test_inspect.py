@@ -9,12 +9,12 @@ import pytest
 
 from pixelid.cli.main import main
 from pixelid.inspection import inspect
-from pixelid.inspection.ceiling import find_ceiling
-from pixelid.inspection.counts import count
+from pixelid.inspection.ceiling import Paces
+from pixelid.inspection.counts import BusiestWindow, Survey, counts_of
 from pixelid.inspection.dead_time import find_dead_time
-from pixelid.inspection.hot_pixels import find_hot_pixels, find_hot_pixels_in_silence
-from pixelid.inspection.intervals import pixel_interval_pairs, pixel_intervals
-from pixelid.inspection.lines import _Segments, find_lines
+from pixelid.inspection.hot_pixels import find_hot_pixels_in_silence, hot_of_counts
+from pixelid.inspection.intervals import intervals_of, pixel_intervals
+from pixelid.inspection.lines import Spectra, _Segments
 from pixelid.inspection.tick import find_tick
 from pixelid.model.shipped import find_model
 from pixelid.recordings import Events, Recording, open_recording, write_recording
@@ -24,6 +24,34 @@ from pixelid.stimuli.shapes import chirp, constant
 
 SHARED = Path(os.environ.get("PIXELID_SHARED", Path(__file__).parents[3] / "shared")) / "recordings"
 WIDTH = 10
+
+
+def find_lines(events: Events):
+    first, last = (int(events.t[0]), int(events.t[-1])) if len(events) else (0, 0)
+    spectra = Spectra(len(events), first, last)
+    spectra.add(events)
+    return spectra.lines(None)
+
+
+def count(events: Events, pooled: bool = False):
+    survey = Survey(events.width, events.height, pooled)
+    survey.add(events)
+    busiest = BusiestWindow(survey)
+    busiest.add(events)
+    return counts_of(survey, busiest)
+
+
+def find_ceiling(events: Events, clock_s: float):
+    survey = Survey(events.width, events.height, False)
+    survey.add(events)
+    paces = Paces(survey, clock_s)
+    paces.add(events)
+    return paces.ceiling()
+
+
+def find_hot_pixels(events: Events):
+    counts = np.bincount(events.pixel, minlength=events.width * events.height)
+    return hot_of_counts(counts.reshape(events.height, events.width), events.duration_s)
 
 
 def poisson_events(
@@ -56,7 +84,7 @@ def real(name: str) -> Recording:
 
 def dead_time(events: Events):
     intervals = pixel_intervals(events)
-    return find_dead_time(intervals, find_tick(events, intervals).tick_s, pixel_interval_pairs(events))
+    return find_dead_time(intervals, find_tick(events, intervals).tick_s, intervals_of(events).pairs)
 
 
 @pytest.mark.parametrize("tick_ns", [1, 1000, 50_000])

@@ -67,6 +67,39 @@ def with_tonic(path: Path, e: Events) -> None:
     np.savez(path, events=tonic.make_structured_array(e.x, e.y, e.t // 1000, e.p.astype(bool)))
 
 
+def with_rosbags(path: Path, e: Events) -> None:
+    """`dvs_msgs/EventArray` messages as rosbags serialises them."""
+    rosbag1, rosbag2 = pytest.importorskip("rosbags.rosbag1"), pytest.importorskip("rosbags.rosbag2")
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    one = path.suffix == ".bag"
+    store = get_typestore(Stores.ROS1_NOETIC if one else Stores.ROS2_HUMBLE)
+    moment = "time" if one else "builtin_interfaces/Time"
+    event = f"uint16 x\nuint16 y\n{moment} ts\nbool polarity\n"
+    store.register(get_types_from_msg(event, "dvs_msgs/msg/Event"))
+    array = "std_msgs/Header header\nuint32 height\nuint32 width\ndvs_msgs/Event[] events\n"
+    store.register(get_types_from_msg(array, "dvs_msgs/msg/EventArray"))
+    event, array, header, stamp = (
+        store.types[f"{package}/msg/{name}"]
+        for package, name in (("dvs_msgs", "Event"), ("dvs_msgs", "EventArray"), ("std_msgs", "Header"),
+                              ("builtin_interfaces", "Time"))
+    )  # fmt: skip
+    plugin = rosbag2.StoragePlugin.MCAP if path.suffix == ".mcap" else rosbag2.StoragePlugin.SQLITE3
+    folder = path.parent / "bag"
+    writer = rosbag1.Writer(path) if one else rosbag2.Writer(folder, version=9, storage_plugin=plugin)
+    number = {"seq": 0} if one else {}
+    with writer as bag:
+        connection = bag.add_connection("/events", "dvs_msgs/msg/EventArray", typestore=store)
+        rows = list(zip(e.t.tolist(), e.x.tolist(), e.y.tolist(), e.p.tolist(), strict=True))
+        for k in range(0, len(rows), 77):
+            events = [event(x=x, y=y, ts=stamp(*divmod(t, 10**9)), polarity=bool(p)) for t, x, y, p in rows[k : k + 77]]
+            message = array(header(stamp=stamp(1, 2), frame_id="dvs", **number), HEIGHT, WIDTH, events)
+            serialise = store.serialize_ros1 if one else store.serialize_cdr
+            bag.write(connection, rows[k][0], serialise(message, "dvs_msgs/msg/EventArray"))
+    if not one:
+        next(folder.glob(f"*{path.suffix}")).rename(path)
+
+
 WRITTEN = [  # tool, what it calls the format, file, writer, what becomes of it
     ("faery", "ES", "a.es", with_faery, "event for event"),
     ("faery", "AEDAT4", "a.aedat4", with_faery, "event for event"),
@@ -79,6 +112,9 @@ WRITTEN = [  # tool, what it calls the format, file, writer, what becomes of it
     ("expelliarmus", "EVT2", "evt2.raw", with_expelliarmus, "event for event"),
     ("expelliarmus", "EVT3", "evt3.raw", with_expelliarmus, "refused: low times come before high ones"),
     ("evlib", "HDF5", "a.h5", with_evlib, "event for event"),
+    ("rosbags", "dvs_msgs in .bag", "a.bag", with_rosbags, "event for event"),
+    ("rosbags", "dvs_msgs in .db3", "a.db3", with_rosbags, "event for event"),
+    ("rosbags", "dvs_msgs in .mcap", "a.mcap", with_rosbags, "event for event"),
     ("tonic", "structured array in .npz", "a.npz", with_tonic, "event for event"),
 ]  # fmt: skip
 

@@ -42,6 +42,8 @@ TEXTS = {
     "usec,pixel_x,pixel_y,pol\n": (T, X, Y, P),
     "# timestamps in nanoseconds\nt,x,y,p\n": (T * 1000, X, Y, P),
     "t,x,y,p\nns,px,px,-\n": (T * 1000, X, Y, P),
+    "t,x,y,p\nus,px,px,1\n": (T, X, Y, P),
+    "width: 320\nheight: 200\nt,x,y,p\n": (T, X, Y, P),
     "t,x,y,p\n": (T, X, Y, WORDS),
     "320,200\n": (T, X, Y, P),
     "# size: 320x200\n": (T, Y, X, P),  # rows first: only that fits the size

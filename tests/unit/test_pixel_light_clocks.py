@@ -16,7 +16,7 @@ from pixelid.model.shipped import find_model
 from pixelid.recordings import Events, Recording, npz, open_recording, write_recording
 from pixelid.recordings import parts as in_parts
 from pixelid.recordings import reading as opening
-from pixelid.recordings.alignment import Alignment, aligned, aligned_parts
+from pixelid.recordings.alignment import Alignment, aligned
 from pixelid.recordings.crop import Crop
 from pixelid.recordings.own_light import with_fine_light
 from pixelid.recordings.parts import LongRecording, as_whole
@@ -98,9 +98,9 @@ def test_gradients_along_clocks_are_those_of_the_value(recording, beside, sectio
 def test_alignment_in_parts(recording):
     alignment = Alignment(-0.1, "given", rate_error=2e-5)
     whole = aligned(recording, VIDEO, alignment)
-    same(as_whole(aligned_parts(in_small_parts(recording), VIDEO, alignment)), whole)
+    same(as_whole(aligned(in_small_parts(recording), VIDEO, alignment)), whole)
     groups = with_fine_light(recording, "linear").stimulus
-    same(as_whole(aligned_parts(in_small_parts(recording), groups, alignment)), aligned(recording, groups, alignment))
+    same(as_whole(aligned(in_small_parts(recording), groups, alignment)), aligned(recording, groups, alignment))
 
 
 @pytest.mark.parametrize(
@@ -111,7 +111,7 @@ def test_alignment_in_parts(recording):
 @pytest.mark.parametrize("light", ["video", "groups"])
 def test_crops_in_parts(recording, crop, light):
     whole = recording if light == "video" else with_fine_light(recording, "linear")
-    same(as_whole(crop.applied_to_parts(in_small_parts(whole), 3)), crop.applied(whole, 3))
+    same(as_whole(crop.applied(in_small_parts(whole), 3)), crop.applied(whole, 3))
 
 
 @pytest.mark.parametrize("suffix", ["h5", "npz"])
