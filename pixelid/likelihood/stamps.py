@@ -137,9 +137,9 @@ def carried_over(
     if np.max(np.abs(by) * previous / np.sqrt(S), initial=0.0) < NEGLIGIBLE:
         return None, share
     change = terms.changes.events.change.copy()
-    none = np.zeros(len(y))
-    held = [read_only(row) for row in (order, after, by, scale, change, level, np.sqrt(S), left, none, none)]
-    return Carried(*held), share
+    of, none = read_only, read_only(np.zeros(len(y)))
+    sd = of(np.sqrt(S))
+    return Carried(of(order), of(after), of(by), of(scale), of(change), of(level), sd, of(left), none, none), share
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
