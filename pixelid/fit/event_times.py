@@ -94,6 +94,10 @@ class EventTimesObjective(Objective):
             return self
         return EventTimesObjective(likelihood, self.coordinates, self.off)
 
+    def following(self, x: np.ndarray) -> EventTimesObjective:
+        carried = self.likelihood.carried
+        return self if carried is None or not carried.nearly_straight else self.near(x)
+
     def at(self, x: np.ndarray) -> EventTimes:
         """The likelihood as it is at x."""
         return self.likelihood

@@ -42,6 +42,10 @@ class Objective(ABC):
         """The same with what it holds near an optimum taken again at x; itself where it holds nothing."""
         return self
 
+    def following(self, x: np.ndarray) -> Self:
+        """As `near`, where values of what is held at one place and at another can be compared; else itself."""
+        return self
+
     def gradient(self, x: np.ndarray) -> np.ndarray:
         """The gradient at x."""
         return self.local(x).gradient

@@ -49,13 +49,15 @@ class Ridge:
 
 
 def ridge_of_stamps(objective: EventTimesObjective, optimum: Optimum) -> Ridge | None:
-    """The maximum along the ridge from an optimum at rest; None where stamps share nothing or nothing misleads.
+    """The maximum along the ridge from an optimum at rest; None where stamps share nothing, nothing misleads, or levels
+    bend too much within the noise of stamps.
 
     Args:
         objective: Held as at the optimum.
         optimum: Of it.
     """
-    if objective.likelihood.carried is None:
+    carried = objective.likelihood.carried
+    if carried is None or not carried.nearly_straight:
         return None
     covariance = np.linalg.pinv(optimum.local.information, hermitian=True)
     i = _leads(objective, optimum.x, covariance)

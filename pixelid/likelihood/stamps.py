@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 FAR = 5.0  # standard deviations: what lies further off says nothing of its stamp
 NEGLIGIBLE = 0.01  # of an innovation, that the next level shares, in any event
 MOST_BENT = 0.5  # of an innovation's standard deviation, by second derivatives
+BENT, FEW = 0.2, 0.01  # of a standard deviation, from which first order errs by a tenth; share of events that may be so
 MOST_SHARE = 100.0  # a level that falls ten times as fast by its reset as it rises: the light has all but turned
 
 
@@ -71,6 +72,11 @@ class Carried:
     gain: np.ndarray
     bend: Bend | None = None
 
+    @property
+    def nearly_straight(self) -> bool:
+        """Whether second derivatives are small in nearly all events, so that values of the density can be compared."""
+        return bool(np.mean(np.abs(self.bent) > BENT * self.sd) < FEW)
+
     def with_bend(self, terms: Terms, moved: np.ndarray, stamp: np.ndarray, bend: Bend) -> Carried:
         """The same with what second derivatives add;  arguments otherwise as of `carried_over`."""
         rate, S, e = terms.event.rate, self.sd**2, self.level
@@ -82,8 +88,7 @@ class Carried:
         c = -0.5 * e / S * (e * e * twice + spread - 3.0 * S * twice) - along * e / rate
         most = MOST_BENT * self.sd
         bent, c = np.clip(np.nan_to_num(bent), -most, most), np.clip(np.nan_to_num(c), -MOST_BENT, MOST_BENT)
-        usual = np.abs(e) < FAR * self.sd
-        gain = np.where(usual, c - bent * (e - 0.5 * bent) / S, 0.0)
+        gain = np.where(np.abs(e) < FAR * self.sd, c - bent * (e - 0.5 * bent) / S, 0.0)
         return replace(self, bent=read_only(bent), gain=read_only(gain), bend=bend)
 
     def apply(self, changes: StackedChanges, among: np.ndarray | None = None) -> None:

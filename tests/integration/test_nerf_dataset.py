@@ -220,7 +220,7 @@ def test_every_colour_has_its_level(made, colours):
         field = Field(problem.low, problem.high, 9, colours, (0.5 * np.array(factors)).tolist())
         field.hold_dense(torch.full((9, 9, 9, 1 + colours), -30.0))
         state.field = field
-        off = float(_off_level(problem, state, "auto", np.random.default_rng(0)).detach())
+        off = float(_off_level(problem, state, np.random.default_rng(0)).detach())
         expected = np.log(0.5 * np.array(factors) + EPSILON) - np.log(0.5 + EPSILON)
         assert off == pytest.approx(np.mean(expected**2), abs=1e-4)
 

@@ -84,6 +84,8 @@ def terms(likelihood, circuit, vector: np.ndarray) -> SimpleNamespace:
     reached = (opposite + on * opposite_drift) / growth
     survives = log_survival((group_mean[other] - reached) / sd(other, f_other))
     event_term = event_term + np.where(reached.real > 0, survives, 0.0)
+    if likelihood.carried is not None:
+        event_term = event_term + np.where(background, 0.0, likelihood.carried.gain)
     ON, OFF = 2 * at.last_pixel + 1, 2 * at.last_pixel
     grown = 1.0 + circuit.threshold_drift * at.last_time_s
     end_term = log_survival((group_mean[ON] - (rise + on * rise_drift) / grown) / sd(ON, f_rise))

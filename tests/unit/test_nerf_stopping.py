@@ -125,6 +125,6 @@ def test_another_regularisation_is_taken_only_where_it_is_demonstrably_better():
     assert chosen(usual, [better, np.full(PIXELS, np.nan)], ROWS).factor == FACTORS[0]
     draws = (chosen(usual, [usual + 0.05 * rng.normal(size=PIXELS) for _ in FACTORS], ROWS) for _ in range(1000))
     assert sum(draw.factor != 1.0 for draw in draws) < 25  # a hundredth, all together
-    trials = chosen(usual, [alike, better], ROWS).as_dict()["trials"]
-    assert [trial["factor"] for trial in trials] == [1.0, *FACTORS]
-    assert trials[0]["loss"] == pytest.approx(usual.sum() / ROWS)
+    trials = chosen(usual, [alike, better], ROWS).trials
+    assert [trial.factor for trial in trials] == [1.0, *FACTORS]
+    assert trials[0].loss == pytest.approx(usual.sum() / ROWS)

@@ -185,7 +185,7 @@ def at_fixed(objective, x: np.ndarray, i: int, wanted: float | None = None) -> t
     free, end = objective.on(held), x[others]
     value = -np.inf
     for _ in range(TURNS):
-        here = free.near(end)
+        here = free.following(end)
         optimum = maximise(
             here, end, tolerance=1e-2, max_steps=STEPS_OF_OTHERS, wanted=None if wanted is None else wanted - own
         )
