@@ -15,7 +15,6 @@ from pixelid.fit.levels.found import pixel_levels as levels_of
 from pixelid.fit.levels.objective import LevelledObjective
 from pixelid.fit.levels.pixel_levels import PixelLevels
 from pixelid.fit.measured_light import line_errors
-from pixelid.fit.newton import maximise as newton_steps
 from pixelid.fit.prepare import Prepared
 from pixelid.fit.result import Estimate, estimates_of
 from pixelid.fit.search import SearchResult
@@ -26,7 +25,6 @@ from pixelid.fit.uncertainty.ridge import profile_of_ridge, widened
 from pixelid.fit.uncertainty.small_sample import intervals
 from pixelid.status import Status
 
-MOST_MAXIMA = 3  # from each of which a profile may lead to a higher one
 CLOCKS = "alignment."  # what names of the clocks' nuisances begin with
 
 
@@ -53,9 +51,7 @@ class Assessment:
     details: dict[str, Any]
 
 
-def assess(
-    ready: Prepared, found: SearchResult, seed: int, report: Callable[[str, float], None], again: int = MOST_MAXIMA
-) -> Assessment:
+def assess(ready: Prepared, found: SearchResult, seed: int, report: Callable[[str, float], None]) -> Assessment:
     """What is known at an optimum.
 
     Args:
@@ -63,7 +59,6 @@ def assess(
         found: The optimum.
         seed: Of traces whose noise is drawn again.
         report: Called with what is done and the share of the fit.
-        again: How many higher maxima may yet be gone to, where a profile meets one.
     """
     objective, optimum, coordinates = found.objective, found.optimum, found.objective.coordinates
     clocks_free = not ready.pooled and any(name.startswith(CLOCKS) for name in coordinates.names)
@@ -97,10 +92,6 @@ def assess(
     # Levels are held along the ridge: fast poles and dead time, which make it, owe next to nothing to them.
     ridge = objective.held(optimum.x) if isinstance(objective, LevelledObjective) else objective
     along = profile_of_ridge(ridge, optimum.x, reading) if bends else None
-    if along is not None and along.higher is not None and levels is None and found.ridge is None and again > 0:
-        higher = newton_steps(objective.near(along.higher), along.higher, max_steps=60)
-        if higher.converged and higher.local.value > optimum.local.value:
-            return assess(ready, replace(found, optimum=higher), seed, report, again - 1)
     if along is not None:
         wider = widened(limits_95, along, ridge, optimum.x, reading.covariance)
         if levels is not None:  # never narrower than with levels free

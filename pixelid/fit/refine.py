@@ -89,10 +89,10 @@ def refine(
     between = _likeliest(ends)
     if len(ends) == len(BETWEEN):
         details = {"smooth_minus_linear_nats": _smooth_minus_linear(ends)}
-    objective, optimum = at_rest(*ends[between], maximiser.maximise)
+    objective, optimum = _at_rest(*ends[between], maximiser)
     better = beyond_plateaus(objective, optimum)
     if better is not None:
-        objective, optimum = at_rest(objective, better, maximiser.maximise)
+        objective, optimum = _at_rest(objective, better, maximiser)
     ridge = ridge_of_stamps(objective, optimum)
     if ridge is not None:
         objective, optimum = ridge.objective, ridge.optimum
@@ -100,14 +100,14 @@ def refine(
     return Refined(objective, optimum, between, details, ridge)
 
 
-def at_rest(
-    objective: EventTimesObjective, optimum: Optimum, maximise: Callable[..., Optimum]
+def _at_rest(
+    objective: EventTimesObjective, optimum: Optimum, maximiser: Engine
 ) -> tuple[EventTimesObjective, Optimum]:
-    """The optimum from one near it, with what stamps and gains add held where it is;  maximise: an engine's."""
+    """The optimum from one near it, with what stamps and gains add held where it is."""
     for _ in range(TURNS):
         before, free = optimum.x, objective
         objective = free.near(before)
-        optimum = maximise(objective, before, max_steps=60)
+        optimum = maximiser.maximise(objective, before, max_steps=60)
         went = optimum.x - before
         if objective is free or not optimum.converged or went @ optimum.local.information @ went < AT_REST:
             break

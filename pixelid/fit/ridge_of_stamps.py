@@ -18,6 +18,7 @@ from pixelid.fit.bench import is_of_bench
 from pixelid.fit.event_times import EventTimesObjective, only_density_differs
 from pixelid.fit.newton import Optimum
 from pixelid.fit.uncertainty.profiles import at_fixed
+from pixelid.likelihood.stamps import Bend
 
 NEARBY = 0.1  # of a standard error, over which slopes are taken
 NEGLIGIBLE = 0.05  # of a standard error, by which the maximum would move
@@ -60,7 +61,7 @@ def ridge_of_stamps(objective: EventTimesObjective, optimum: Optimum) -> Ridge |
     if carried is None or not carried.nearly_straight:
         return None
     covariance = np.linalg.pinv(optimum.local.information, hermitian=True)
-    i = _leads(objective, optimum.x, covariance)
+    i = _leads(objective, optimum.x, covariance, carried.bend)
     if i is None:
         return None
     longest, own = float(objective.coordinates.longest_moves()[i]), float(covariance[i, i])
@@ -72,9 +73,8 @@ def ridge_of_stamps(objective: EventTimesObjective, optimum: Optimum) -> Ridge |
     if not 0 < k < len(moves) - 1:
         return None  # the ridge goes on to a bound
     left, top, right = moves[k - 1 : k + 2]
-    slope_left, slope_right = (
-        (points[top][0] - points[left][0]) / (top - left), (points[right][0] - points[top][0]) / (right - top),
-    )  # fmt: skip
+    slope_left = (points[top][0] - points[left][0]) / (top - left)
+    slope_right = (points[right][0] - points[top][0]) / (right - top)
     bent = 2.0 * (slope_left - slope_right) / (right - left)
     best = 0.5 * (left + top) + slope_left / bent
     x = points[top][1] + (best - top) * (points[right][1] - points[left][1]) / (right - left)
@@ -96,11 +96,11 @@ def _profile_curvature(points: dict[float, tuple[float, np.ndarray]], best: floa
     return max(float(np.linalg.lstsq(rows * weights[:, None], values * weights, rcond=None)[0][1]), 1e-12)
 
 
-def _leads(objective: EventTimesObjective, x: np.ndarray, covariance: np.ndarray) -> int | None:
+def _leads(objective: EventTimesObjective, x: np.ndarray, covariance: np.ndarray, bend: Bend | None) -> int | None:
     """The least known coordinate that shares follow; None where the likelihood's slope is that of the held one."""
     names, circuit = objective.coordinates.names, objective.circuit(x)
     sd, differs = np.sqrt(np.maximum(np.diag(covariance), 1e-300)), np.zeros(len(x))
-    carried, steps = objective.likelihood.carried, np.minimum(sd, objective.coordinates.longest_moves())
+    steps = np.minimum(sd, objective.coordinates.longest_moves())
     for i in range(len(x)):
         values = []
         if is_of_bench(names[i]) or "[" in names[i]:
@@ -111,7 +111,7 @@ def _leads(objective: EventTimesObjective, x: np.ndarray, covariance: np.ndarray
             there = objective.circuit(moved)
             if only_density_differs(circuit, there):
                 break
-            follows = objective.likelihood.with_stamps_at(there, carried.bend if carried is not None else None)
+            follows = objective.likelihood.with_stamps_at(there, bend)
             values.append(follows.log_likelihood(there) - objective.likelihood.log_likelihood(there))
         if len(values) == 2:
             differs[i] = (values[0] - values[1]) / (2.0 * NEARBY * steps[i])
@@ -128,8 +128,8 @@ def _climbed(
     lower, upper = objective.coordinates.bounds()
     points = {0.0: (value, x)}
 
-    def asked(move: float) -> bool:
-        """Whether the profile there is new, within bounds and finite."""
+    def added(move: float) -> bool:
+        """Whether there is a finite point of the profile there, within bounds, which is then among the points."""
         nearest = points[min(points, key=lambda other: abs(other - move))][1]
         start = np.clip(nearest + (x[i] + move - nearest[i]) * along, lower, upper)
         if abs(start[i] - x[i] - move) > 1e-9:
@@ -149,6 +149,6 @@ def _climbed(
             break
         sign = max(sides, key=lambda sign: points[moves[-1 if sign > 0 else 0]][0])
         width = max(step, 0.5 * (moves[-1] - moves[0]))
-        if not asked((moves[-1] if sign > 0 else moves[0]) + sign * min(width, 3.0 * step)):
+        if not added((moves[-1] if sign > 0 else moves[0]) + sign * min(width, 3.0 * step)):
             break
     return points

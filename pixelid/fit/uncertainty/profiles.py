@@ -26,7 +26,6 @@ from pixelid.statistics import DROP_NATS, Z95
 MOST_STEPS = 14  # per side
 NEAR = 1.3  # times the drop: so little beyond it, the limit lies within 2 % of where the root of the drop is linear
 TURNS, AT_REST = 4, 0.1  # at most, and nats twice over by which one may still move, of what is held near an optimum
-HIGHER = 0.5  # nats by which a point of a profile is another maximum: where what is held is not at rest it may seem so
 STEPS_OF_OTHERS = 100  # after one has moved: along a ridge a few dozen are needed
 
 Profiled: TypeAlias = EventTimesObjective | PooledRateObjective
@@ -39,7 +38,6 @@ class Profile:
     kind: "bounded" | "one-sided" | "flat";  interval_95: in the parameter's unit, None where a side stays open
     values, drops: (m,) points tried, sorted, and how far the log posterior fell there
     ends: coordinates (d,) at both limits, the others fitted again; where a side stays open those at the last point
-    higher: coordinates (d,) of the highest point, where it is `HIGHER` than the optimum; None where none is
     """
 
     name: str
@@ -48,7 +46,6 @@ class Profile:
     values: tuple[float, ...]
     drops: tuple[float, ...]
     ends: tuple[np.ndarray, np.ndarray]
-    higher: np.ndarray | None = None
 
     def as_dict(self) -> dict:
         """The entry in fit.json."""
@@ -86,50 +83,38 @@ def profile(
     along = covariance[:, i] / variance if variance > 0 else np.eye(len(x))[i]
     points = {0.0: 0.0}
     limits, ends = [], []
-    highest = top + HIGHER * dispersion, None
     for sign in (-1, 1):
-        limit, end, best = _side(objective, x, i, sign, sd, along, top, dispersion, points)
+        limit, end = _side(objective, x, i, sign, sd, along, top, dispersion, points)
         limits.append(limit)
         ends.append(end)
-        highest = max(highest, best, key=lambda point: point[0])
     order = sorted(points)
     to_value: Callable[[float], float] = lambda move: float(parameter.from_coordinate(float(x[i] + move)))  # noqa: E731
     low, high = (None if limit is None else to_value(limit) for limit in limits)
     kind = "bounded" if None not in (low, high) else "flat" if low is None and high is None else "one-sided"
     return Profile(
-        name,
-        kind,
-        (low, high),
-        tuple(to_value(m) for m in order),
-        tuple(points[m] for m in order),
-        (ends[0], ends[1]),
-        highest[1],
+        name, kind, (low, high), tuple(to_value(m) for m in order), tuple(points[m] for m in order), (ends[0], ends[1])
     )
 
 
-def _side(
-    objective, x, i, sign, sd, along, top, dispersion, points
-) -> tuple[float | None, np.ndarray, tuple[float, np.ndarray]]:
-    """The signed move at which the profile has dropped by DROP_NATS, None when the bound comes first; the others then;
-    (value, coordinates) of the highest point.
+def _side(objective, x, i, sign, sd, along, top, dispersion, points) -> tuple[float | None, np.ndarray]:
+    """The signed move at which the profile has dropped by DROP_NATS, None when the bound comes first; the others then.
 
-    Limit and others are between the points on either side of it, as the root of the drop is linear in the move.
+    Both between the points on either side of the limit, as the root of the drop is linear in the move.
     """
     lower, upper = objective.coordinates.bounds()
     bound = abs((upper if sign > 0 else lower)[i] - x[i])
-    move, near, far, highest = min(Z95 * sd, bound), (0.0, 0.0, x), None, (top, x)
+    move, near, far = min(Z95 * sd, bound), (0.0, 0.0, x), None
     for _ in range(MOST_STEPS):
         if move <= 0:
-            return None, near[2], highest
+            return None, near[2]
         enough, wanted = top - DROP_NATS * dispersion, top - NEAR * DROP_NATS * dispersion
         value, end = _best_at(objective, near[2], x, i, x[i] + sign * move, along, enough, wanted)
         drop = max(top - value, 0.0) / dispersion
         points[sign * move] = drop
-        highest = max(highest, (value, end), key=lambda point: point[0])
         if drop < DROP_NATS:
             near = move, drop, end
             if move >= bound:
-                return None, end, highest
+                return None, end
         else:
             far = move, drop, end
             if drop < NEAR * DROP_NATS:
@@ -140,10 +125,10 @@ def _side(
             growth = 1.15 * np.sqrt(DROP_NATS / drop) if drop > 0.05 else 2.0
             move = min(move * float(np.clip(growth, 1.1, 2.0)), bound)
     if far is None:
-        return None, near[2], highest
+        return None, near[2]
     a, b = np.sqrt(near[1]), np.sqrt(far[1])
     share = (np.sqrt(DROP_NATS) - a) / (b - a)
-    return sign * float(near[0] + (far[0] - near[0]) * share), near[2] + share * (far[2] - near[2]), highest
+    return sign * float(near[0] + (far[0] - near[0]) * share), near[2] + share * (far[2] - near[2])
 
 
 def _best_at(

@@ -9,7 +9,7 @@ import numpy as np
 
 from pixelid.parameters.parameter import OPEN_SD
 from pixelid.provenance import versions
-from pixelid.statistics import Z95
+from pixelid.statistics import Z95, departures
 from pixelid.tables.flicker.circuit import Reading
 from pixelid.tables.flicker.figures import draw_maps, draw_phases
 from pixelid.tables.flicker.fit import OPEN_PHASE_CYCLES, FlickerFit, Group
@@ -81,8 +81,8 @@ def _group(g: Group, locked: bool) -> dict:
 def pulse(fit: FlickerFit) -> dict | None:
     """What the groups show of a light that pulses, behind one pole: its cutoff, and the pulse's share of the period.
 
-    Means over groups, weighted by their errors and what they scatter by beyond these (DerSimonian & Laird 1986,
-    Control. Clin. Trials 7, 177); None where no group knows both.
+    Means over groups, weighted by their errors and what they scatter by beyond these (`departures`); None where no
+    group knows both.
     """
     entries = [(g.fit.x[8:], g.sd[8:]) for g in fit.pulses if g.fit.converged and (g.sd[8:] < OPEN_SD).all()]
     if not (entries and fit.lock.sure):
@@ -90,13 +90,11 @@ def pulse(fit: FlickerFit) -> dict | None:
     found = {}
     for k, (name, scale) in enumerate((("duty", 1.0), ("cutoff_hz", fit.frequency_hz))):
         x, variance = np.array([x[k] for x, _ in entries]), np.array([sd[k] ** 2 for _, sd in entries])
-        weight = 1.0 / variance
-        off = float(weight @ (x - weight @ x / weight.sum()) ** 2) - (len(x) - 1)
-        between = max(off / (weight.sum() - (weight**2).sum() / weight.sum()), 0.0) if len(x) > 1 else 0.0
-        weight = 1.0 / (variance + between)
+        scatter = departures(np.ones((len(x), 1)), x, np.diag(variance))
+        weight = 1.0 / (variance + scatter**2)
         mean, sd = float(weight @ x / weight.sum()), float(weight.sum() ** -0.5)
         low, high = (scale * np.exp(mean + side * Z95 * sd) for side in (-1.0, 1.0))
-        found[name] = {"value": scale * np.exp(mean), "interval_95": [low, high], "groups_scatter": between**0.5}
+        found[name] = {"value": scale * np.exp(mean), "interval_95": [low, high], "groups_scatter": scatter}
     return found | {"groups": len(entries), "behind_nats": fit.gains[fit.shape] - fit.gains["pulse"]}
 
 
