@@ -61,9 +61,15 @@ class Coordinates:
         return np.array([p[0] for p in pairs]), np.array([p[1] for p in pairs])
 
     def longest_moves(self) -> np.ndarray:
-        """The longest sensible step of every coordinate: a factor e, a millisecond (in each second), or one unit."""
-        small = ("s", RATE_UNIT)
-        return np.array([1e-3 if p.transform == "linear" and p.unit in small else 1.0 for p in self.parameters])
+        """The longest sensible step of every coordinate: a factor e, a millisecond (in each second), or one unit.
+
+        One unit of light is the library's own in the numbers of this light, so nothing depends on what light is counted
+        in.  Bounds of a linear coordinate leave no more than half of what lies between them.
+        """
+        unit, small = self.model.light_scale, ("s", RATE_UNIT)
+        units = [1e-3 if p.unit in small else unit**p.radiance_power for p in self.parameters]
+        room = [0.5 * (p.upper - p.lower) for p in self.parameters]
+        return np.where([p.transform == "linear" for p in self.parameters], np.minimum(units, room), 1.0)
 
     def values(self, x: np.ndarray) -> dict:
         """Values of all parameters, fixed and free, at a coordinate vector, real or with complex steps."""

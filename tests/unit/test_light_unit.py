@@ -10,6 +10,7 @@ from pixelid.fit.light_unit import in_recorded_unit, reference_light, unit_sente
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.files import from_document, to_document
 from pixelid.model.shipped import find_model
+from pixelid.recordings.bench import Bench, on_bench
 from pixelid.simulate import simulate
 from pixelid.stimuli.shapes import chirp, steps
 
@@ -60,3 +61,25 @@ def test_effects_are_added_in_the_unit_of_the_light(session):
 def test_a_unit_that_is_held_is_not_looked_for(session):
     held = MODEL.fix({"alpha": None})
     assert in_recorded_unit(held, EventTimes(in_unit(session, 1e-3, "V"))) is held
+
+
+def test_what_is_known_does_not_depend_on_the_unit_where_zeros_of_the_light_are_free():
+    """In W/m2 a zero is known to 1e-9; in steps of one such unit its curvature would hide that of all the rest."""
+    lights = (
+        chirp(300.0, 0.7, 5.0, 400.0, duration_s=0.3, dt=1e-4),
+        chirp(3.0, 0.7, 1.0, 40.0, duration_s=1.0, dt=1e-4),
+    )
+    made = [simulate(MODEL, light, width=3, height=2, seed=k, sensor_seed=0) for k, light in enumerate(lights)]
+    session = [replace(r, condition=f"light {k}", sensor="one") for k, r in enumerate(made)]
+
+    def known(factor: float) -> np.ndarray:
+        stated = [on_bench(r, Bench(offset_sd=0.05 * factor)) for r in in_unit(session, factor, "W/m2")]
+        result = fit(stated, MODEL, starts=0)
+        assert result.status == "converged", result.advice
+        offsets = np.array([name.startswith("light_offset") for name in result.coordinates.names])
+        assert offsets.sum() == 2
+        return np.sqrt(np.diag(result.covariance)) / np.where(offsets, factor, 1.0)
+
+    np.testing.assert_allclose(
+        known(3e-7), known(1.0), rtol=0.1
+    )  # poles known to 30 %: their curvature is a small rest
