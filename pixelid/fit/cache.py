@@ -192,6 +192,8 @@ def _digest(likelihood: EventTimes) -> bytes:
         hashed.update(b"shift" + likelihood.shift.change.tobytes() + likelihood.shift.slope.tobytes())
     if likelihood.carried is not None:
         hashed.update(b"carried" + likelihood.carried.by.tobytes() + likelihood.carried.level.tobytes())
+    if likelihood.placed is not None:
+        hashed.update(b"placed" + likelihood.placed.earlier.tobytes() + likelihood.placed.back.tobytes())
     if likelihood.by_gain is not None:
         hashed.update(b"gains" + likelihood.by_gain.tobytes())
     return hashed.digest()

@@ -30,7 +30,8 @@ WORTH_A_PART = 4  # times as many events, from which the part costs less than th
 # Nats.  The log ratio of two likelihoods close to each other varies by twice its mean: 20 are three standard deviations
 # away from the other sign, and all events, of which the part is at most a quarter, say the same with more.
 DECIDED_NATS = 20.0
-TURNS, AT_REST = 6, 0.01  # at most, and what a turn may still move the optimum by: squared, in standard errors
+MOST_STEPS, A_TURN = 120, 12  # of a search, and of what is held as at one point
+AT_REST = 0.01  # what a turn may still move the optimum by: squared, in standard errors
 ROUGHLY = 1e-2  # nats, of optima that decide how light runs
 
 
@@ -89,10 +90,10 @@ def refine(
     between = _likeliest(ends)
     if len(ends) == len(BETWEEN):
         details = {"smooth_minus_linear_nats": _smooth_minus_linear(ends)}
-    objective, optimum = _at_rest(*ends[between], maximiser)
+    objective, optimum = _at_rest(ends[between][0], ends[between][1].x, maximiser)
     better = beyond_plateaus(objective, optimum)
     if better is not None:
-        objective, optimum = _at_rest(objective, better, maximiser)
+        objective, optimum = _at_rest(objective, better.x, maximiser)
     ridge = ridge_of_stamps(objective, optimum)
     if ridge is not None:
         objective, optimum = ridge.objective, ridge.optimum
@@ -101,17 +102,22 @@ def refine(
 
 
 def _at_rest(
-    objective: EventTimesObjective, optimum: Optimum, maximiser: Engine
+    objective: EventTimesObjective, x: np.ndarray, maximiser: Engine, **settings: float
 ) -> tuple[EventTimesObjective, Optimum]:
-    """The optimum from one near it, with what stamps and gains add held where it is."""
-    for _ in range(TURNS):
-        before, free = optimum.x, objective
-        objective = free.near(before)
-        optimum = maximiser.maximise(objective, before, max_steps=60)
-        went = optimum.x - before
-        if objective is free or not optimum.converged or went @ optimum.local.information @ went < AT_REST:
-            break
-    return objective, optimum
+    """The optimum from a point near it, with what stamps and gains add held where it is.
+
+    What is held is known about the point that it was taken at: a turn ends after `A_TURN` steps, and it is taken again.
+    """
+    left = MOST_STEPS
+    while True:
+        free, objective = objective, objective.near(x)
+        steps = min(A_TURN, left) if objective.likelihood.carried is not None else left
+        optimum = maximiser.maximise(objective, x, max_steps=steps, **settings)
+        left -= A_TURN
+        went, x = optimum.x - x, optimum.x
+        rests = optimum.converged and went @ optimum.local.information @ went < AT_REST
+        if objective is free or rests or left <= 0:
+            return objective, optimum
 
 
 Ends = dict[str, tuple[EventTimesObjective, Optimum]]
@@ -122,8 +128,7 @@ def _ends(recordings, coordinates: Coordinates, x, kinds, maximiser: Engine, set
     ends: Ends = {}
     for kind in kinds:
         likelihood = EventTimes([with_fine_light(recording, kind) for recording in recordings])
-        objective = EventTimesObjective(likelihood, coordinates).near(x)
-        ends[kind] = objective, maximiser.maximise(objective, x, max_steps=60, **settings)
+        ends[kind] = _at_rest(EventTimesObjective(likelihood, coordinates), x, maximiser, **settings)
         x = ends[kind][1].x
         done()
     return ends

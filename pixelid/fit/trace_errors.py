@@ -46,8 +46,8 @@ def trace_errors(
         return np.zeros(len(x))
 
     def gradient(light: Sequence[Recording]) -> np.ndarray:
-        likelihood = EventTimes([with_fine_light(recording, between) for recording in light])
-        likelihood.clock_share, likelihood.carried = objective.likelihood.clock_share, objective.likelihood.carried
+        of, likelihood = objective.likelihood, EventTimes([with_fine_light(recording, between) for recording in light])
+        likelihood = likelihood.with_stamps(of.carried, of.clock_share, of.placed)
         return EventTimesObjective(likelihood, objective.coordinates, objective.off).gradient(x)
 
     rng, here = np.random.default_rng([seed, 41]), gradient(recordings)

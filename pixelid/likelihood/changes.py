@@ -109,6 +109,16 @@ class ChangeEvaluator:
         other._trajectories = self._trajectories.under(lights)
         return other
 
+    def placed(self, earlier_s: np.ndarray, reset_earlier_s: np.ndarray) -> ChangeEvaluator:
+        """The same with events, and those before them, placed so many seconds (n,) before their stamps."""
+        other = copy(self)
+        other.intervals = replace(
+            self.section.intervals,
+            time_s=self.section.intervals.time_s - earlier_s,
+            previous_s=self.section.intervals.previous_s - reset_earlier_s,
+        )
+        return other
+
     def trajectory(self, circuit: Circuit, keep: bool = False) -> Trajectory:
         """The trajectories of this section's lights, one after the other; `keep`: see `Trajectories.of`."""
         return self._trajectories.of(circuit, keep)[0]

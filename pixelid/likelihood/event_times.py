@@ -21,7 +21,7 @@ from pixelid.likelihood.extremes import Extremes
 from pixelid.likelihood.layout import Layout, Shift, StackedChanges, flat_index, layout_of, read_only
 from pixelid.likelihood.light_between_samples import unknown_light
 from pixelid.likelihood.sections import sections_of
-from pixelid.likelihood.stamps import Bend, Carried, carried_over
+from pixelid.likelihood.stamps import Bend, Carried, Placed, carried_over
 from pixelid.parallel import map_threads
 from pixelid.recordings.bench import gains_of_pixels
 from pixelid.recordings.events import COARSE_UNIT_SHARE, SHORT_QUANTILE
@@ -35,6 +35,10 @@ UNEVEN = 0.03  # ln light, about what a field differs by: where the changes of a
 NUDGE_S = 1e-7  # of the release, to find how a level depends on it: 1e-3 of a dead time, 1e7 times a float's rounding
 MOST_REMEMBERED = 4_000_000  # samples of light in sections whose trajectories are remembered: 0.3 GB
 SAME = (1e-3, 1e-2, 5e-2)  # of an interval: equal to a stamp's jitter; stamps of a foreign clock may be blurred more
+PLACINGS, FULL_STEPS = (
+    8,
+    3,
+)  # at most, of events where they most likely happened; then half steps, for one that goes to and fro
 LARGE = 60_000  # samples and events, a few milliseconds of work, from which handing it to other threads pays
 
 
@@ -52,6 +56,7 @@ class EventTimes:
         threshold_factor: (n,) what each event's threshold is multiplied by in addition to all that the circuit says,
             or None.
         carried: What levels share with those of the events before, by the noise of stamps, or None.
+        placed: Where events most likely happened, or None: where their stamps are.
         shift: What noise has added to the changes at events, or None.
         by_gain: What the gains of pixels add to changes where that is held, else None.
         unknown_light: What is not known of light that sensors measured themselves, None where there is none.
@@ -85,6 +90,7 @@ class EventTimes:
         self.threshold_factor: np.ndarray | None = None
         self.shift: Shift | None = None
         self.carried: Carried | None = None
+        self.placed: Placed | None = None
         self.by_gain: np.ndarray | None = None
         self._large = samples + self.events > LARGE
 
@@ -188,6 +194,8 @@ class EventTimes:
         if self.threshold_factor is not None:
             for row in changes.events.of_level:
                 row /= self.threshold_factor
+        if self.placed is not None:
+            self.placed.apply(changes)
         if self.carried is not None:
             self.carried.apply(changes)
         return changes
@@ -214,6 +222,8 @@ class EventTimes:
             mine = self.layout.recording == recording
             for row in changes.events.of_level:
                 row[mine] /= self.threshold_factor[mine]
+        if self.placed is not None:
+            self.placed.apply(changes, self.layout.recording == recording)
         if self.carried is not None:
             self.carried.apply(changes, self.layout.recording == recording)
         return changes
@@ -309,14 +319,26 @@ class EventTimes:
         The time of the reset is as uncertain as that of the event, and what the event before says of it is taken from
         the level (`stamps.py`).  All that is held as it is under this circuit, and gains of pixels are, too.
         """
-        return self.with_gains_held(circuit).with_stamps_at(circuit)
+        return self.with_single_stamps().with_gains_held(circuit).with_stamps_at(circuit)
 
     def with_stamps_at(self, circuit: Circuit, bend: Bend | None = None) -> EventTimes:
-        """The same likelihood with the noise of stamps held as under a circuit;  bend: if it is known."""
-        other = self.with_single_stamps()
-        other.carried, share = other.shared_by_stamps(circuit, other.terms(circuit), bend=bend)
-        other.clock_share = read_only(share)
-        return other
+        """The same likelihood with the noise of stamps held as under a circuit, events placed from where they are.
+
+        bend: if it is known
+        """
+        other = self.with_stamps(None, np.ones(self.events), self.placed)
+        for turn in range(PLACINGS):
+            here = other.terms(circuit)
+            carried, _, moved = other._carried_over(circuit, here)
+            if carried is None:
+                break
+            placed = carried.placed(here, moved, here.event.clock, other.placed, 1.0 if turn < FULL_STEPS else 0.5)
+            rests = placed.rests_at(other.placed, here)
+            other = other.with_stamps(None, other.clock_share, placed)
+            if rests:
+                break
+        carried, share = other.shared_by_stamps(circuit, other.terms(circuit), bend=bend)
+        return other.with_stamps(carried, share, other.placed)
 
     def shared_by_stamps(
         self,
@@ -332,36 +354,63 @@ class EventTimes:
         levels: (n,) about what is expected of them, the events before given; None: as stamps alone have it
         bend: of levels, by times; None: to be found
         """
-        growth = 1.0 + circuit.threshold_drift * self.time_s
-        scale = self.sign / (growth * memory_factor(circuit.polarity_memory, self.layout.alike))
-        previous_s = np.concatenate([intervals.previous_s for intervals in self.intervals])
-        moved, stamp = self.moved_by_release(circuit, here), here.event.clock
-        carried, share = carried_over(here, moved, stamp, scale, previous_s, added)
+        carried, share, moved = self._carried_over(circuit, here, added)
         if carried is None:
             return None, share
         if levels is not None:
             carried = replace(carried, level=levels)
-        bend = bend or self._bend(circuit, here, float(np.sqrt(stamp.max())))
-        return carried.with_bend(here, moved, stamp, bend), share
+        stamp = here.event.clock
+        bend = bend or self._bend(circuit, float(np.sqrt(stamp.max())))
+        return carried.with_bend(here, moved, stamp, bend, self.placed), share
+
+    def _carried_over(
+        self, circuit: Circuit, here: Terms, added: np.ndarray | None = None
+    ) -> tuple[Carried | None, np.ndarray, np.ndarray]:
+        """`stamps.carried_over`, and (n,) how levels move with the release;  here: `terms(circuit)`."""
+        growth = 1.0 + circuit.threshold_drift * self.time_s
+        scale = self.sign / (growth * memory_factor(circuit.polarity_memory, self.layout.alike))
+        previous_s = np.concatenate([intervals.previous_s for intervals in self.intervals])
+        moved = self.moved_by_release(circuit)
+        return *carried_over(here, moved, here.event.clock, scale, previous_s, added), moved
 
     def with_single_stamps(self) -> EventTimes:
-        """The same likelihood with timestamp noise counted at the event alone."""
+        """The same likelihood with timestamp noise counted at the event alone, where stamps are."""
+        return self.with_stamps(None, np.ones(self.events), None)
+
+    def with_stamps(self, carried: Carried | None, clock_share: np.ndarray, placed: Placed | None) -> EventTimes:
+        """The same likelihood with the noise of stamps held in another way; arguments are the attributes."""
         other = copy(self)
-        other.carried, other.clock_share = None, read_only(np.ones(self.events))
+        other.carried, other.clock_share, other.placed = carried, read_only(clock_share), placed
+        if placed is not self.placed:
+            shifts = np.zeros((2, self.events)) if placed is None else (placed.earlier, placed.reset_earlier)
+            columns = [self.layout.events_of(k) for k in range(len(self.evaluators))]
+            other.evaluators = tuple(
+                e.placed(*(row[of] for row in shifts)) for e, of in zip(self.evaluators, columns, strict=True)
+            )
         return other
 
-    def moved_by_release(self, circuit: Circuit, here: Terms) -> np.ndarray:
-        """(n,) by how much levels rise, per second by which pixels are let go later;  here: `terms(circuit)`."""
-        there = self.released_later(circuit, here)
+    def _where_placed(self) -> EventTimes:
+        """The same likelihood with levels where events are placed, not carried on to their stamps."""
+        if self.placed is None:
+            return self
+        return self.with_stamps(self.carried, self.clock_share, self.placed.not_carried_on())
+
+    def moved_by_release(self, circuit: Circuit) -> np.ndarray:
+        """(n,) by how much levels rise, per second by which pixels are let go later, where events are placed."""
+        plain = self._where_placed()
+        here = plain.terms(circuit)
+        there = plain.released_later(circuit, here)
         known = (here.z != 0.0) & (there.z != 0.0)  # a level of 0: the circuit cannot have fired
         return np.where(known, there.z - here.z, 0.0) / NUDGE_S
 
-    def _bend(self, circuit: Circuit, here: Terms, within_s: float) -> Bend:
-        """Second derivatives of levels by the times of events and resets, from levels so many seconds further and back;
-        here: `terms(circuit)`."""
+    def _bend(self, circuit: Circuit, within_s: float) -> Bend:
+        """Second derivatives of levels by the times of events and resets, from levels so many seconds further and back,
+        where events are placed."""
+        plain = self._where_placed()
+        here = plain.terms(circuit)
 
         def at(other: Circuit) -> Terms:
-            return self.terms(other, self.changes(other, here.changes))
+            return plain.terms(other, plain.changes(other, here.changes))
 
         released = [at(circuit.with_(refractory=circuit.refractory + by)) for by in (within_s, -within_s)]
         all_later = [at(circuit.later_by(-by)) for by in (within_s, -within_s)]

@@ -14,11 +14,17 @@ independent (Kalman 1960, J. Basic Eng. 82, 35):
 
 with V_k the variance of the threshold and σ² that of stamps.
 
-Levels bend within σ where a pixel was let go shortly before.  With H the second derivatives of y by both times, h =
-(r, m), D = diag(σ², σ² (1 − r_{k−1}² σ²/S_{k−1})) and g = D h/S, the log density of e is, to first order in H, that of
-a normal one and
+Levels bend within σ where a pixel was let go shortly before, so all of it is expanded where events most likely happened
+(`Placed`): with û_k the most likely j_k, all levels given (Rauch, Tung & Striebel 1965, AIAA J. 3, 1445), r, m and the
+level are taken at stamps that are û earlier, and carried on from there to the stamps as measured,
 
-    c(e) = −e/(2 S) (e² gᵀHg + tr HD − 3 S gᵀHg) − (H g)_1 e/r_k,
+    y_k ≈ y(û_k, û_{k−1}) + r_k û_k + m_k û_{k−1},
+
+until û rests: the Gauss-Newton form of Laplace's approximation of the integral over all j.  What is left of the bend
+counts to first order.  With H the second derivatives of y by both times, h = (r, m), D = diag(σ², σ² (1 − r_{k−1}²
+σ²/S_{k−1})), g = D h/S and d = e g − (û_k, û_{k−1}), the log density of e is that of a normal one and
+
+    c(e) = −e/(2 S) (dᵀHd + tr HD − S gᵀHg) + gᵀHd − (H d)_1/r_k,
 
 the last term the Jacobian's.  Its derivative is that by which a level further off by S c′(e) differs.  All of this is
 taken where a circuit puts it and held.
@@ -41,6 +47,8 @@ FAR = 5.0  # standard deviations: what lies further off says nothing of its stam
 NEGLIGIBLE = 0.01  # of an innovation, that the next level shares, in any event
 MOST_BENT = 0.5  # of an innovation's standard deviation, by second derivatives
 BENT, FEW = 0.2, 0.01  # of a standard deviation, from which first order errs by a tenth; share of events that may be so
+RESTS = 0.03  # of a level's standard deviation, by which the last placing of any event moved it
+CLOSER = 0.75  # of the time since a pixel's release, by which a turn may place an event closer to it
 MOST_SHARE = 100.0  # a level that falls ten times as fast by its reset as it rises: the light has all but turned
 
 
@@ -77,19 +85,48 @@ class Carried:
         """Whether second derivatives are small in nearly all events, so that values of the density can be compared."""
         return bool(np.mean(np.abs(self.bent) > BENT * self.sd) < FEW)
 
-    def with_bend(self, terms: Terms, moved: np.ndarray, stamp: np.ndarray, bend: Bend) -> Carried:
+    def with_bend(
+        self, terms: Terms, moved: np.ndarray, stamp: np.ndarray, bend: Bend, placed: Placed | None = None
+    ) -> Carried:
         """The same with what second derivatives add;  arguments otherwise as of `carried_over`."""
         rate, S, e = terms.event.rate, self.sd**2, self.level
         at_event, at_reset = stamp * rate / S, self.left * moved / S
-        along = at_event * bend.event + at_reset * bend.both
-        twice = at_event * along + at_reset * (at_event * bend.both + at_reset * bend.reset)
-        spread = stamp * bend.event + self.left * bend.reset
-        bent = -0.5 * (3.0 * e * e * twice + spread - 3.0 * S * twice) - S * along / rate
-        c = -0.5 * e / S * (e * e * twice + spread - 3.0 * S * twice) - along * e / rate
+        d_event, d_reset = e * at_event, e * at_reset
+        if placed is not None:
+            d_event, d_reset = d_event - placed.earlier, d_reset - placed.reset_earlier
+        along_event = at_event * bend.event + at_reset * bend.both
+        along_reset = at_event * bend.both + at_reset * bend.reset
+        mixed = along_event * d_event + along_reset * d_reset
+        twice = at_event * along_event + at_reset * along_reset
+        squared = d_event**2 * bend.event + 2.0 * d_event * d_reset * bend.both + d_reset**2 * bend.reset
+        spread = stamp * bend.event + self.left * bend.reset - S * twice + squared
+        bent = -0.5 * spread - e * mixed + S * twice - S * along_event / rate
+        c = -0.5 * e / S * spread + mixed - (d_event * bend.event + d_reset * bend.both) / rate
         most = MOST_BENT * self.sd
         bent, c = np.clip(np.nan_to_num(bent), -most, most), np.clip(np.nan_to_num(c), -MOST_BENT, MOST_BENT)
         gain = np.where(np.abs(e) < FAR * self.sd, c - bent * (e - 0.5 * bent) / S, 0.0)
         return replace(self, bent=read_only(bent), gain=read_only(gain), bend=bend)
+
+    def placed(
+        self, terms: Terms, moved: np.ndarray, stamp: np.ndarray, before: Placed | None, share: float = 1.0
+    ) -> Placed:
+        """Where events most likely happened, all levels given;  arguments otherwise as of `carried_over`.
+
+        before: where they are placed;  a pixel stays released before each, and what says nothing of its stamp stays
+        share: of the way from there
+        """
+        n = len(self.order)
+        earlier = np.zeros(n) if before is None else before.earlier.copy()
+        reset_earlier = np.zeros(n)
+        usable = (self.sd > 0.0) & (np.abs(self.level) < FAR * self.sd) & ~(terms.background | terms.at_once)
+        rate, waits = terms.event.rate, -terms.changes.events.early
+        _smooth(
+            self.order, self.after, usable, self.level, self.sd**2, rate, moved, stamp, self.left, waits, share, earlier,
+            reset_earlier,
+        )  # fmt: skip
+        most = np.sqrt(MOST_SHARE)
+        ratio = np.clip(np.divide(moved, rate, out=np.zeros(n), where=rate > 0.0), -most, most)
+        return Placed(*map(read_only, (earlier, reset_earlier, earlier + ratio * reset_earlier)))
 
     def apply(self, changes: StackedChanges, among: np.ndarray | None = None) -> None:
         """Take from the changes what events before say of them, at those `among` (n,) only."""
@@ -98,6 +135,34 @@ class Carried:
             changes.events.change, every, self.order, self.after, self.by, self.scale, self.change, self.level, self.sd,
             self.bent,
         )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """Events where they most likely happened.
+
+    earlier, reset_earlier: (n,) by how many seconds before their stamps the events, and those before them, are placed
+    back: (n,) seconds by which levels and leaks are carried on along their slopes, from there to the stamps as measured
+    """
+
+    earlier: np.ndarray
+    reset_earlier: np.ndarray
+    back: np.ndarray
+
+    def not_carried_on(self) -> Placed:
+        """The same with levels where the events are placed."""
+        return replace(self, back=read_only(np.zeros(len(self.back))))
+
+    def rests_at(self, before: Placed | None, terms: Terms) -> bool:
+        """Whether levels differ by little from those where events were placed before."""
+        went = self.earlier if before is None else self.earlier - before.earlier
+        return bool(np.max(np.abs(went) * terms.event.rate / terms.scale, initial=0.0) < RESTS)
+
+    def apply(self, changes: StackedChanges, among: np.ndarray | slice = slice(None)) -> None:
+        """Carry the changes on to the stamps, at the events `among` (n,) only."""
+        rows, back = changes.events, self.back[among]
+        rows.change[among] += back * rows.slope[among]
+        rows.drift[among] += back * rows.drift_slope[among]
 
 
 @dataclass(frozen=True)
@@ -179,3 +244,36 @@ def _take(row, among, order, after, by, scale, change, level, sd, bent):
             here += by[k] * level[order[i - 1]] - shared
         row[k] -= (shared + bent[k]) / scale[k]
         last_level = min(max(here, -FAR * sd[k]), FAR * sd[k]) if abs(here) < np.inf else 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _smooth(order, after, usable, level, S, rate, moved, stamp, left, waits, share, earlier, reset_earlier):
+    """Put the most likely noise of stamps into `earlier`, which holds it as it is placed, and that of resets into the other."""
+    n = len(order)
+    likely = np.zeros(n)
+    later = 0.0  # what the event after adds
+    for i in range(n - 1, -1, -1):
+        k = order[i]
+        own = rate[k] * stamp[k] * level[k] / S[k] if usable[k] else 0.0
+        likely[k] = own + later
+        later = 0.0
+        if after[k] and usable[k]:
+            var = stamp[k] * (1.0 - rate[k] * rate[k] * stamp[k] / S[k])
+            gain = -left[k] * moved[k] * rate[k] * stamp[k] / S[k]
+            later = left[k] * moved[k] * level[k] / S[k]
+            if var > 0.0:
+                later += gain * (likely[k] - own) / var
+    went = 0.0
+    for i in range(n):
+        k = order[i]
+        if not after[k]:
+            went = 0.0
+        placed = earlier[k]
+        to = (
+            placed + share * (likely[k] - placed) if usable[k] else placed
+        )  # what lies far off, here or there, would go to and fro
+        if waits[k] > 0.0:
+            to = min(to, placed + went + CLOSER * waits[k])
+        reset_earlier[k] = earlier[order[i - 1]] if after[k] else 0.0
+        went = to - placed
+        earlier[k] = to

@@ -87,9 +87,8 @@ class LevelledObjective(EventTimesObjective):
 
     def weighed(self, x: np.ndarray) -> LevelledObjective:
         """The same with timestamp noise counted as at x (`EventTimes.weighed`)."""
-        likelihood = copy(self.likelihood)
         weighed = self.at(x).weighed(self.coordinates.circuit(x))
-        likelihood.clock_share, likelihood.carried = weighed.clock_share, weighed.carried
+        likelihood = self.likelihood.with_stamps(weighed.carried, weighed.clock_share, weighed.placed)
         return LevelledObjective(likelihood, self.coordinates, self.scales, self.best(x).u, self.tilt)
 
     def best(self, x: np.ndarray) -> At:
