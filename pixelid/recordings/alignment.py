@@ -110,8 +110,8 @@ def known_alignment(offset_s: float, method: str, prior: ClockPrior, light: Ligh
         for moment in (0.0, light.start_s)
     )
     rates = rate - Z95 * prior.rate_sd, rate + Z95 * prior.rate_sd
-    interval = offset_s - half, offset_s + half
-    return Alignment(offset_s, method, interval, rate, rates, prior, start_half_s=start_half)
+    interval, start_s = (offset_s - half, offset_s + half), offset_s + (1.0 + rate) * light.start_s
+    return Alignment(offset_s, method, interval, rate, rates, prior, start_s, start_half)
 
 
 def aligned(recording: Either, light: Light, alignment: Alignment) -> Either:

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
+from scipy.optimize import least_squares
 
 SOFT = 0.3  # thresholds' units from which a residual counts linearly: noise is some 0.1, missed events are 1
 RATE_BOUND = 5e-4  # of a clock: crystals are within 1e-4, ceramic resonators within 5e-4
@@ -144,38 +145,13 @@ def refine(
         centre: (4,) ln rates of the filter to which it is weakly held.
         steps: at most;  tolerance: relative, of the loss.
     """
-    problem = _Problem(changes, light, begin_s, centre)
-    x = np.clip(start, LOWER, UPPER)
-    r, damping = problem.residuals(x), 1e-3
-    for _ in range(steps):
-        jacobian = problem.jacobian(x)
-        weighted = jacobian / np.sqrt(1.0 + (r / SOFT) ** 2)[:, None]  # of the soft loss
-        gradient, curvature = weighted.T @ r, weighted.T @ jacobian
-        free = ~((x <= LOWER) & (gradient > 0) | (x >= UPPER) & (gradient < 0))
-        before = soft_loss(r).sum()
-        for _ in range(6):
-            x_new, r_new = x.copy(), r
-            x_new[free] -= _step(gradient[free], curvature[np.ix_(free, free)], damping)
-            x_new = np.clip(x_new, LOWER, UPPER)
-            r_new = problem.residuals(x_new)
-            lower = before - soft_loss(r_new).sum()
-            if lower > 0.0:
-                break
-            damping *= 5.0
-        if lower <= 0.0:
-            break
-        x, r, damping = x_new, r_new, 0.2 * damping
-        if lower < tolerance * before:
-            break
-    count = len(changes.time)
-    r, jacobian = problem.residuals(x)[:count], problem.jacobian(x)[:count]
-    return Refined(begin_s, x, r, jacobian, soft_loss(r))
-
-
-def _step(gradient: np.ndarray, curvature: np.ndarray, damping: float) -> np.ndarray:
-    """Levenberg–Marquardt."""
-    own = np.maximum(np.diag(curvature), 1e-12)
-    return np.linalg.solve(curvature + np.diag(damping * own + 1e-12), gradient)
+    problem, count = _Problem(changes, light, begin_s, centre), len(changes.time)
+    found = least_squares(
+        problem.residuals, np.clip(start, LOWER, UPPER), problem.jacobian, (LOWER, UPPER), loss="soft_l1", f_scale=SOFT,
+        x_scale="jac", max_nfev=steps, ftol=tolerance, xtol=None, gtol=None,
+    )  # fmt: skip
+    r = found.fun[:count]
+    return Refined(begin_s, found.x, r, problem.jacobian(found.x)[:count], soft_loss(r))
 
 
 def downhill(changes: Changes, light: LogLight, begin: Refined, end: Refined) -> bool:
@@ -255,9 +231,13 @@ class _Problem:
         return np.where(self.changes.sign > 0, np.exp(-x[7]), np.exp(-x[8])) * self.changes.sign
 
     def _at(self, filtered: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        value, slope = np.empty(len(t)), np.empty(len(t))
-        _interpolate(filtered, self.light.first_s, self.light.step_s, t, self.changes.light, value, slope)
-        return value, slope
+        """Value and slope of the filtered light at times t (n,); constant outside of the grid."""
+        place = (t - self.light.first_s) / self.light.step_s
+        last, row = filtered.shape[1] - 1, self.changes.light
+        k = np.clip(place, 0, last - 1).astype(np.int64)
+        low, rise = filtered[row, k], filtered[row, k + 1] - filtered[row, k]
+        inside = (place > 0.0) & (place < last)
+        return low + np.clip(place - k, 0.0, 1.0) * rise, np.where(inside, rise / self.light.step_s, 0.0)
 
     def residuals(self, x: np.ndarray) -> np.ndarray:
         if not np.array_equal(x[2:6], self.rates):
@@ -310,23 +290,6 @@ def _filter(u, relative, step, rates, out):
             s[j] = mean + (s[j] - mean) * keep[j]
             y[j], v[j] = y1, v1
             out[j, k] = s[j]
-
-
-@njit(cache=True)
-def _interpolate(y, first, step, t, which, value, slope):
-    """Value and slope of y[which] (lights, n) at times t; constant outside of the grid."""
-    n = y.shape[1]
-    for k in range(len(t)):
-        row = y[which[k]]
-        place = (t[k] - first) / step
-        if place <= 0.0:
-            value[k], slope[k] = row[0], 0.0
-        elif place >= n - 1:
-            value[k], slope[k] = row[n - 1], 0.0
-        else:
-            i = int(place)
-            rise = row[i + 1] - row[i]
-            value[k], slope[k] = row[i] + (place - i) * rise, rise / step
 
 
 @njit(cache=True)

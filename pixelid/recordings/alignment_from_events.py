@@ -37,9 +37,9 @@ from pixelid.recordings.alignment_search import (
     MOST_BINS,
     RIVALS,
     WIDEST_BIN_S,
+    best_offsets,
     best_starts,
     changes_of,
-    correlate,
     distinct,
     is_too_long,
     lights_of,
@@ -157,7 +157,8 @@ def alignment_of(events: EventAlignment, light: Light) -> Alignment:
         events.rate_error,
         (events.rate_error - rate_half, events.rate_error + rate_half),
         ClockPrior(0.5 * (light.start_s + light.end_s), light.duration_s, None, 0.0, CRYSTAL),
-        start_half_s=Z95 * events.sd_at(light.start_s),
+        events.offset_s + (1.0 + events.rate_error) * light.start_s,
+        Z95 * events.sd_at(light.start_s),
     )
 
 
@@ -184,7 +185,7 @@ def align_events(recording: Recording, light: Light, polarity: int = 1) -> Event
             f"{recording.name}: --align auto: expected at least {LEAST_CHANGES} events that follow one of their pixel"
         )
     coarse = LogLight.of(lights, 1)
-    fits, profile = _optima(few, coarse, correlate(recording, lights, of_pixel, polarity)[0] - few.origin_s)
+    fits, profile = _optima(few, coarse, best_offsets(recording, lights, of_pixel, polarity)[0] - few.origin_s)
     best = min(fits, key=lambda fit: fit.cost)
     many = stretches(changes, MOST_CHANGES)
     covered = within(many, coarse, best, few.middle_s)

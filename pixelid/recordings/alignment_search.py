@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.signal import find_peaks
+from scipy.signal import correlate, correlation_lags, find_peaks
 
 from pixelid.errors import InputError
 from pixelid.recordings.alignment_filter import STARTS, Changes, LogLight, Refined, lag_s, scan, soft_loss
@@ -94,10 +94,10 @@ def correlation(recording: Recording, light: Light, polarity: int = 1) -> float:
         recording, lights, of_pixel = lights_of(recording, light)
     except InputError:
         return 0.0
-    return correlate(recording, lights, of_pixel, polarity)[1] if len(recording.events) > 1 else 0.0
+    return best_offsets(recording, lights, of_pixel, polarity)[1] if len(recording.events) > 1 else 0.0
 
 
-def correlate(
+def best_offsets(
     recording: Recording, lights: Sequence[tuple[np.ndarray, np.ndarray]], of_pixel: np.ndarray, polarity: int
 ) -> tuple[np.ndarray, float]:
     """(offsets (s, camera's clock) at which signed events and d ln L/dt correlate best; the highest correlation)."""
@@ -109,34 +109,27 @@ def correlate(
     index = ((events.t - events.t[0]) * 1e-9 / width).astype(np.int64)
     sign, seen_by = np.where(events.p == 1, polarity, -polarity), of_pixel[events.pixel]
     n = int((t[-1] - t[0]) / width) + 1
-    size = 1 << int(np.ceil(np.log2(bins + n)))
-    correlation, length, powers = np.zeros(size), 1.0, np.zeros(2)
+    heights, length, powers = np.zeros(bins + n - 1), 1.0, np.zeros(2)
     for k, (when, log_light) in enumerate(lights):
         counts = np.bincount(index, np.where(seen_by == k, sign, 0.0), bins)
         change = np.diff(np.interp(t[0] + width * np.arange(n + 1), when, log_light))
         counts, change = counts - counts.mean(), change - change.mean()
-        spectra = [np.fft.rfft(series, size) for series in (counts, change)]
-        correlation += np.fft.irfft(spectra[0] * np.conj(spectra[1]), size)
+        heights += correlate(counts, change, method="fft")
         length = max(length, _correlation_length(change))
         powers += [float(counts @ counts), float(change @ change)]
-    lags = np.arange(size)
-    lags[lags >= bins] -= size  # negative: the light began before the first event
-    order = np.argsort(lags)
-    heights = correlation[order]
     peaks, _ = find_peaks(np.concatenate([[-np.inf], heights, [-np.inf]]))
     peaks = peaks[np.argsort(heights[peaks - 1])[::-1]] - 1
     kept: list[int] = []
     for peak in peaks[: 20 * CANDIDATES]:
         if all(abs(peak - other) > length for other in kept):
             kept.append(int(peak))
-    offsets = origin + width * lags[order][kept[:CANDIDATES]] - t[0]
+    offsets = origin + width * correlation_lags(bins, n)[kept[:CANDIDATES]] - t[0]
     return offsets, float(heights.max() / max(np.sqrt(powers.prod()), 1e-300))
 
 
 def _correlation_length(change: np.ndarray) -> float:
     """Bins over which the light's change stays like itself (half height of its autocorrelation)."""
-    spectrum = np.abs(np.fft.rfft(change, 2 * len(change))) ** 2
-    own = np.fft.irfft(spectrum)
+    own = correlate(change, change, method="fft")[len(change) - 1 :]
     below = np.flatnonzero(own < 0.5 * own[0])
     return float(below[0]) if len(below) else 1.0
 

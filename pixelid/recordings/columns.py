@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 
@@ -49,6 +51,20 @@ def floats_to_ns(t: np.ndarray, unit: str, where: str) -> np.ndarray:
         raise InputError(f"{where}/t: expected times that fit 64 bits in nanoseconds, found {found}")
     last = 10 ** math.ceil(math.log10(max(1.0, np.spacing(np.abs(nanoseconds).max(initial=0.0)))))
     return np.rint(nanoseconds / last).astype(np.int64) * last
+
+
+def word_pairs(path: Path, start: int, kind: str) -> Iterator[np.ndarray]:
+    """(n, 2) of two 32-bit numbers an event behind a header of `start` bytes, block by block.
+
+    Raises:
+        InputError: the file ends within an event.
+    """
+    if left := (path.stat().st_size - start) % 8:
+        raise InputError(f"{path}: expected 8 bytes per event after the header, found {left} left over")
+    with path.open("rb") as file:
+        file.seek(start)
+        while len(data := file.read(8 * PART_EVENTS)):
+            yield np.frombuffer(data, kind).reshape(-1, 2)
 
 
 class RepeatCounter:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from pixelid.errors import InputError
-from pixelid.recordings.columns import PART_EVENTS, Rollovers
+from pixelid.recordings.columns import Rollovers, word_pairs
 
 PIXEL_EVENTS = (0x00, 0x0C)  # kinds
 
@@ -30,12 +30,9 @@ def decode(path: Path, start: int) -> Iterator[tuple[np.ndarray, np.ndarray, np.
     with path.open("rb") as file:
         file.seek(start)
         kind = file.read(2)
-        if len(kind) < 2 or kind[0] not in PIXEL_EVENTS or kind[1] != 8:
-            raise InputError(f"{path}: expected events of 8 bytes, kind 12, after the header, found {list(kind)}")
-        if left := (path.stat().st_size - start - 2) % 8:
-            raise InputError(f"{path}: expected 8 bytes per event after the header, found {left} left over")
-        clock = Rollovers(1 << 32)
-        while len(data := file.read(8 * PART_EVENTS)):
-            words = np.frombuffer(data, "<u4").reshape(-1, 2)
-            address = words[:, 1]
-            yield clock.undone(words[:, 0]), address & 0x3FFF, address >> 14 & 0x3FFF, address >> 28
+    if len(kind) < 2 or kind[0] not in PIXEL_EVENTS or kind[1] != 8:
+        raise InputError(f"{path}: expected events of 8 bytes, kind 12, after the header, found {list(kind)}")
+    clock = Rollovers(1 << 32)
+    for words in word_pairs(path, start + 2, "<u4"):
+        address = words[:, 1]
+        yield clock.undone(words[:, 0]), address & 0x3FFF, address >> 14 & 0x3FFF, address >> 28

@@ -28,18 +28,7 @@ TYPES: dict = {".aedat4": "aedat", ".raw": "evt", ".dat": "dat", ".es": "es"}
 AEDAT_EDGES = {1: True, 2: False, 3: True}  # external signal: rising edge, falling edge, pulse
 NO_SIZE = (65535, 65535)  # of a file that states none
 MOST_PACKETS = 1 << 14  # of a part: packets of frames and samples hold no events
-VERSIONS = {
-    "2.0": "2.0",
-    "2.1": "2.1",
-    "3.0": "3.0",
-    "2": "2.0",
-    "3": "3.0",
-    "EVT2": "2.0",
-    "EVT21": "2.1",
-    "EVT3": "3.0",
-}
-
-
+VERSIONS = {"2": "2.0", "20": "2.0", "21": "2.1", "3": "3.0", "30": "3.0"}  # of EVT, by their digits
 # Sizes by the system number of older headers (Prophesee's OpenEB, `psee_raw_file_header.cpp` and `device_system_id.h`).
 VGA_SYSTEMS = (0x15, 0x1C, 0x17, 0x19, 0x1D, 0x23, 0x21, 0x97, 0x99, 0xA1)
 HD_SYSTEMS = (0x1A, 0x1E, 0x20, 0x2E, 0x9A)
@@ -63,7 +52,7 @@ def opened(path: Path, options: ReadingOptions) -> RawEvents:
         return _aedat(path, raw, options)
     size, likely = _sizes(header)
     if kind == "evt":
-        return replace(raw, blocks=lambda: decode_evt(path, path), size=size, likely_sizes=likely)
+        return replace(raw, blocks=lambda: _evt(path, header, start), size=size, likely_sizes=likely)
     if kind == "dat" and header.get("Version") == "2":
         return replace(
             raw, blocks=lambda: (Block.of(c) for c in dat.decode(path, start)), size=size, likely_sizes=likely
@@ -72,20 +61,21 @@ def opened(path: Path, options: ReadingOptions) -> RawEvents:
     return _others(path, kind, raw, None if wide is None or high is None else (wide, high))
 
 
-def decode_evt(path: Path, named: Path) -> Iterator[Block]:
-    """Blocks of a Prophesee RAW file; errors name the file `named`.
+def _evt(path: Path, header: dict[str, str], start: int) -> Iterator[Block]:
+    """Blocks of a Prophesee RAW file.
 
     Raises:
         InputError: when the file cannot be decoded.
     """
-    header, start = _header(path)
     stated, *more = header.get("format", "").split(";")
-    version = VERSIONS.get(header.get("evt", "") or stated.upper())
+    found = header.get("evt", "") or stated.upper()
+    version = VERSIONS.get(found.removeprefix("EVT").replace(".", ""))
     if version is None:
-        found = header.get("evt") or stated.upper() or "none"
-        raise InputError(f"{named}: expected EVT 2.0, 2.1 or 3.0 in the header, found {found[:40]}")
+        raise InputError(f"{path}: expected EVT 2.0, 2.1 or 3.0 in the header, found {found[:40] or 'none'}")
     order = next((word.partition("=")[2] for word in more if word.startswith("endianness=")), "")
-    yield from evt.decode(path, start, version, named, order == "legacy" if order else None)
+    with path.open("rb") as file:
+        file.seek(start)
+        yield from evt.decode(file, version, path, order == "legacy" if order else None)
 
 
 def _aedat(path: Path, raw: RawEvents, options: ReadingOptions) -> RawEvents:

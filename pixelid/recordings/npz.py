@@ -7,7 +7,9 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 
@@ -29,39 +31,26 @@ COLUMNS = {"t": np.dtype(np.int64), "x": np.dtype(np.uint16), "y": np.dtype(np.u
 def opened(path: Path, options: ReadingOptions) -> RawEvents:
     """What a .npz file holds; raises InputError where no events can be found in it."""
     where = f"{path}: events"
-    if path.suffix.lower() == ".npy":
-        return _of_one_array(path, options, where)
-    with _damage(path), np.load(path, allow_pickle=False) as archive:
-        arrays = _arrays(path, where)
-        meta = metadata.from_json(str(archive["metadata"]), f"{path}: metadata") if "metadata" in archive else {}
-        stream, streams = chosen_stream(arrays, options, where)
-        small = {
-            name: str(archive[name]) if kind.kind in "US" else archive[name]
-            for name, (kind, shape) in arrays.kinds.items()
-            if shape in ((), (1,), (2,)) and kind.kind in "iufUS"
+    with _damage(path), _members(path) as members:
+        arrays = _arrays(path)
+        values = {
+            name: np.lib.format.read_array(members[name](), allow_pickle=False)
+            for name, (_, shape) in arrays.kinds.items()
+            if shape in ((), (1,), (2,)) or name.startswith(PREFIX)
         }
-        unit = meta.get("unit") or stream.unit or stated_unit(small, (), where)
-        size, likely = stated_size([meta, small], where)
-        light = {name[len(PREFIX) :]: archive[name] for name in archive.files if name.startswith(PREFIX)} or None
-        floating = arrays.kinds[stream.time][0].kind == "f"
+    small = {name: str(value) if value.dtype.kind in "US" else value for name, value in values.items()}
+    meta = metadata.from_json(small["metadata"], f"{path}: metadata") if "metadata" in small else {}
+    stream, streams = chosen_stream(arrays, options, where)
+    unit = meta.get("unit") or stream.unit or stated_unit(small, (), where)
+    size, likely = stated_size([meta, small], where)
+    light = {name[len(PREFIX) :]: value for name, value in values.items() if name.startswith(PREFIX)} or None
+    floating = arrays.kinds[stream.time][0].kind == "f"
     tick_ns = meta.get("tick_ns") or (1 if unit is not None and floating else None)
     head = metadata.assemble(meta, Events.empty(1, 1), light, path, str(path))
     return RawEvents(
         head, lambda: stream.blocks(arrays), where, unit, tick_ns, size=size, likely_sizes=likely,
         polarity="01" if meta else None, inferred=stream.inferred, streams=streams,
     )  # fmt: skip
-
-
-def _of_one_array(path: Path, options: ReadingOptions, where: str) -> RawEvents:
-    with _damage(path):
-        array = np.load(path, mmap_mode="r", allow_pickle=False)
-    parts = range(0, array.shape[0] if array.ndim and array.shape[0] != 4 else 1, PART_EVENTS)
-    size = PART_EVENTS if len(parts) > 1 else None
-    arrays = Arrays({"events": (array.dtype, array.shape)},
-                    lambda names: ([array[k:][:size]] * len(names) for k in parts))  # fmt: skip
-    stream, _ = chosen_stream(arrays, options, where)
-    head = Recording(Events.empty(1, 1), source=path)
-    return RawEvents(head, lambda: stream.blocks(arrays), where, stream.unit, inferred=stream.inferred)
 
 
 @contextmanager
@@ -72,23 +61,32 @@ def _damage(path: Path) -> Iterator[None]:
         raise InputError(f"{path}: expected a .npz archive, found a damaged or different file ({error})") from error
 
 
-def _arrays(path: Path, where: str) -> Arrays:
-    """The arrays of an archive, which are unpacked piece by piece."""
-    kinds = {}
+@contextmanager
+def _members(path: Path) -> Iterator[dict[str, Callable[[], IO[bytes]]]]:
+    """What opens each array of an archive, or the one of a .npy file, by name."""
+    if path.suffix.lower() == ".npy":
+        yield {"events": partial(path.open, "rb")}
+        return
     with zipfile.ZipFile(path) as packed:
-        for member in packed.namelist():
-            with packed.open(member) as file:
+        yield {name.removesuffix(".npy"): partial(packed.open, name) for name in packed.namelist()}
+
+
+def _arrays(path: Path) -> Arrays:
+    """The arrays of a file, which are read piece by piece."""
+    kinds = {}
+    with _members(path) as members:
+        for name, open_member in members.items():
+            with open_member() as file:
                 shape, dtype, _ = _array_header(file)
             if not dtype.hasobject:
-                kinds[member.removesuffix(".npy")] = (dtype, shape)
+                kinds[name] = (dtype, shape)
 
     def pieces(names: Sequence[str]) -> Iterator[list[np.ndarray]]:
-        with _damage(path), zipfile.ZipFile(path) as packed, ExitStack() as stack:
-            files = [stack.enter_context(packed.open(f"{name}.npy")) for name in names]
+        with _damage(path), _members(path) as members, ExitStack() as stack:
+            files = [stack.enter_context(members[name]()) for name in names]
             headers = [_array_header(file) for file in files]
             if any(fortran for _, _, fortran in headers):
-                with np.load(path, allow_pickle=False) as archive:
-                    yield [archive[name] for name in names]
+                yield [np.lib.format.read_array(members[name](), allow_pickle=False) for name in names]
                 return
             if any(dtype.itemsize == 0 for _, dtype, _ in headers):
                 raise ValueError("expected numbers, found arrays of none")

@@ -13,7 +13,7 @@ Records of events are read as arrays, not message by message: their layout is fi
 
 from __future__ import annotations
 
-import tempfile
+import io
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -24,8 +24,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pixelid.errors import InputError, first_line
+from pixelid.recordings import evt
 from pixelid.recordings.columns import Rollovers
-from pixelid.recordings.decoded import decode_evt
 from pixelid.recordings.events import Events
 from pixelid.recordings.raw import Block, RawEvents
 from pixelid.recordings.recording import Recording
@@ -158,12 +158,8 @@ def _packets(path: Path, messages: list[bytes], cdr: bool, raw: RawEvents) -> Ra
 
     def blocks() -> Iterator[Block]:
         if encoding == "libcaer":
-            yield Block.of(_libcaer(payload, raw.where))
-            return
-        with tempfile.TemporaryDirectory() as folder:
-            copy = Path(folder) / "payload.raw"
-            copy.write_bytes(f"% evt 3.0\n% geometry {size[0]}x{size[1]}\n% end\n".encode() + payload)
-            yield from decode_evt(copy, path)
+            return iter([Block.of(_libcaer(payload, raw.where))])
+        return evt.decode(io.BytesIO(payload), "3.0", path)
 
     return replace(raw, head=head, blocks=blocks, unit="us", tick_ns=1000, size=size, notes=notes)
 

@@ -125,7 +125,7 @@ def _placed(case: Case, rate: SharedRate, others: SharedRate) -> RecordingAlignm
         if by_edges is not None:
             return _result(case, by_edges, rate, by_edges.sentence(), doubts)
     if events is not None:
-        alignment = _with_start(alignment_of(events, case.light), case.light)
+        alignment = alignment_of(events, case.light)
         note = "" if not events.equal_rivals else "; the light repeats itself and covers the events only there"
         return _result(case, alignment, rate, alignment.sentence() + note, doubts)
     if case.events is not None and case.events.follows:
@@ -163,7 +163,7 @@ def _with_rate(given: Alignment, case: Case, rate: SharedRate) -> Alignment:
         return given
     known = replace(given.prior, rate_mean=rate.mean, rate_sd=rate.sd)
     alignment = known_alignment(given.offset_s, given.method, known, case.light, rate.mean)
-    return _with_start(replace(alignment, prior=given.prior), case.light)
+    return replace(alignment, prior=given.prior)
 
 
 def _hypothesis_doubts(case: Case) -> list[BenchDoubt]:
@@ -182,20 +182,17 @@ def _delay_doubt(case: Case, events: EventAlignment | None, given: Alignment) ->
     """Where the events put the light's first sample elsewhere than a statement with an error of its own does."""
     if events is None:
         return None
-    assert given.start_half_s is not None
-    start = case.light.start_s
-    late = events.offset_s + (1.0 + events.rate_error) * start - given.offset_s - (1.0 + given.rate_error) * start
-    sd = float(np.hypot(events.sd_at(start), given.start_half_s / Z95))
-    if abs(late) <= CONTRADICTED * sd:
-        return None
-    return _delay(case, -late, sd, "the start stated for the light")
+    assert given.start_s is not None and given.start_half_s is not None  # noqa: PT018
+    late, sd = _later(events, given.start_s, case.light.start_s, given.start_half_s / Z95)
+    return None if abs(late) <= CONTRADICTED * sd else _delay(case, late, sd, "the start stated for the light")
 
 
 def _by_edges(
     case: Case, events: EventAlignment | None, rate: SharedRate, others: SharedRate
 ) -> tuple[Alignment | None, list[BenchDoubt]]:
     """(the alignment by the edge that stands, None where none does; what contradicts the others)."""
-    late = [] if events is None else [_later(case, events, k) for k in range(len(case.edges_s))]
+    stamps = zip(case.edges_s.tolist(), case.moments_s.tolist(), strict=True)
+    late = [] if events is None else [_later(events, at_s, moment, case.stamp_s) for at_s, moment in stamps]
     edge, doubts = 0, []
     if len(case.edges_s) == 2:
         between = float(np.diff(case.moments_s)[0])
@@ -225,14 +222,13 @@ def _by_edges(
     known = ClockPrior(moment, case.light.duration_s, stamp, rate.mean, rate.sd)
     alignment = known_alignment(at - (1.0 + rate.mean) * moment, "trigger", known, case.light, rate.mean)
     prior = ClockPrior(moment, case.light.duration_s, stamp, 0.0, CRYSTAL)
-    return _with_start(replace(alignment, prior=prior), case.light), doubts
+    return replace(alignment, prior=prior), doubts
 
 
-def _later(case: Case, events: EventAlignment, edge: int) -> tuple[float, float]:
-    """(seconds by which an edge is later than the events put it, standard error)."""
-    moment = float(case.moments_s[edge])
-    late = float(case.edges_s[edge]) - events.offset_s - (1.0 + events.rate_error) * moment
-    return late, float(np.hypot(events.sd_at(moment), case.stamp_s))
+def _later(events: EventAlignment, at_s: float, moment: float, sd_s: float) -> tuple[float, float]:
+    """(seconds by which a statement that a moment of the light is at `at_s` is later than by events, standard error)."""
+    late = at_s - events.offset_s - (1.0 + events.rate_error) * moment
+    return late, float(np.hypot(events.sd_at(moment), sd_s))
 
 
 def _delay(case: Case, late_s: float, sd: float, what: str, why: str = "") -> BenchDoubt:
@@ -253,11 +249,7 @@ def _inherited(case: Case, rate: SharedRate) -> Alignment:
         offset = -(1.0 + rate.mean) * light.start_s
     known = ClockPrior(middle, light.duration_s, GIVEN_SD_S, rate.mean, rate.sd)
     alignment = known_alignment(offset, "inherited", known, light, rate.mean)
-    return _with_start(replace(alignment, prior=replace(known, rate_mean=0.0, rate_sd=CRYSTAL)), light)
-
-
-def _with_start(alignment: Alignment, light: Light) -> Alignment:
-    return replace(alignment, start_s=alignment.offset_s + (1.0 + alignment.rate_error) * light.start_s)
+    return replace(alignment, prior=replace(known, rate_mean=0.0, rate_sd=CRYSTAL))
 
 
 def _result(

@@ -34,7 +34,7 @@ from pixelid.recordings.source import ReadingOptions, size_of_chip
 from pixelid.stimuli.pixel_lights import PixelLights
 from pixelid.time_units import UNIT_OF, plain, unit_in
 
-LINES_AT_ONCE = 1 << 19
+LINES_AT_ONCE, LINES_READ = 1 << 19, 1 << 12
 SIZE = re.compile(r"(?:geometry|size|resolution|sensor)\W+(\d{1,5})\s*[x×, ;]\s*(\d{1,5})", re.I)
 SIDES = re.compile(r"\b(?:(width)|(height)|(W)|(H))\W{1,3}(\d{1,5})\b", re.I)
 BRACKETS = str.maketrans("[]()", "    ")  # of rows that are written as Python shows them
@@ -226,21 +226,14 @@ class _Lines:
     """Lines as a file that pandas reads."""
 
     def __init__(self, lines: Iterator[str]) -> None:
-        self._lines, self._rest = lines, ""
+        self._lines = lines
 
     def __iter__(self) -> Iterator[str]:
         return self._lines
 
-    def read(self, count: int = -1) -> str:
-        """At least some characters, until there are none."""
-        held, size = [self._rest], len(self._rest)
-        while (size < count or count < 0) and (line := next(self._lines, "")):
-            held.append(line)
-            size += len(line)
-        text = "".join(held)
-        cut_at = len(text) if count < 0 else count
-        self._rest = text[cut_at:]
-        return text[:cut_at]
+    def read(self, _: int = -1) -> str:
+        """Some lines, until there are none."""
+        return "".join(islice(self._lines, LINES_READ))
 
 
 def _light(text: str, where: str) -> dict[str, np.ndarray]:
