@@ -19,7 +19,7 @@ from pixelid.recordings.alignment_from_events import alignment_from_events
 from pixelid.recordings.clocks import CRYSTAL, ONE_CLOCK, Alignment, ClockPrior
 from pixelid.recordings.events import Events
 from pixelid.recordings.kept import ATTRIBUTE, kept_of
-from pixelid.recordings.parts import WHOLE_EVENTS, Either, LongRecording, as_long, joined, like
+from pixelid.recordings.parts import WHOLE_EVENTS, Either, LongRecording, Totals, as_long, joined, like
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.triggers import Triggers
 from pixelid.statistics import Z95
@@ -122,15 +122,15 @@ def aligned(recording: Either, light: Light, alignment: Alignment) -> Either:
     """
     long = as_long(recording)
     zero_ns, first, last = _span_ns(long.head, light, alignment)
-    inside = outside = 0
-    ends: list[int] = []
+    inside, totals = 0, Totals()
     for part in long.read():
         t = part.events.t
         begin, end = np.searchsorted(t, first), np.searchsorted(t, last, side="right")
-        inside, outside = inside + int(end - begin), outside + len(t) - int(end - begin)
-        ends = [*ends[:1], *t[:1].tolist(), *t[-1:].tolist()]
-    if ends and not inside:
-        light_s, events_s = (f"{a * 1e-9:.10g}..{b * 1e-9:.10g} s" for a, b in ((first, last), (ends[0], ends[-1])))
+        inside += int(end - begin)
+        totals.add(part)
+    if totals.events and not inside:
+        spans = (first, last), (totals.ends[0], totals.ends[-1])
+        light_s, events_s = (f"{begin * 1e-9:.10g}..{end * 1e-9:.10g} s" for begin, end in spans)
         raise InputError(
             f"{long.name}: no event lies within the light, at {light_s} of the camera's clock; events are at "
             f"{events_s} (--align)"
@@ -140,7 +140,7 @@ def aligned(recording: Either, light: Light, alignment: Alignment) -> Either:
         kept = events.select(np.s_[np.searchsorted(events.t, since) : np.searchsorted(events.t, last, side="right")])
         return replace(kept, t=kept.t - zero_ns)
 
-    head = _with_light(long.head, light, alignment, outside)
+    head = _with_light(long.head, light, alignment, totals.events - inside)
     if head.exposures is not None:
         head = replace(head, exposures=moved(head.exposures, zero_ns))
 

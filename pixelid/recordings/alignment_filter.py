@@ -15,13 +15,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from scipy.optimize import least_squares
 
 SOFT = 0.3  # thresholds' units from which a residual counts linearly: noise is some 0.1, missed events are 1
 RATE_BOUND = 5e-4  # of a clock: crystals are within 1e-4, ceramic resonators within 5e-4
 SHIFT_S, DEAD_S = 1e-3, 1e-4  # units of the first and the seventh parameter
 MOST_SHIFT = 20.0  # of SHIFT_S that a refinement may move
 MOST_SAMPLES = 1 << 18  # of the filter
+SCANNED_AT_ONCE = 64  # offsets
 WEAK = 0.03  # thresholds' units by which an e-fold of a filter's rate counts: holds what the light does not excite
 
 # Starts: ln of stiffness, damping, damping by light and follower rate (1/s² and 1/s, at the light's geometric mean),
@@ -91,6 +91,14 @@ class LogLight:
         """The last sample's time."""
         return self.first_s + self.step_s * (self.log.shape[1] - 1)
 
+    def at(self, filtered: np.ndarray, t: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Value and slope of light number `which` of filtered (lights, n) at times t; constant outside of the grid."""
+        place, last = (t - self.first_s) / self.step_s, filtered.shape[1] - 1
+        k = np.clip(place, 0, last - 1).astype(np.int64)
+        low, rise = filtered[which, k], filtered[which, k + 1] - filtered[which, k]
+        inside = (place > 0.0) & (place < last)
+        return low + np.clip(place - k, 0.0, 1.0) * rise, np.where(inside, rise / self.step_s, 0.0)
+
     def filtered(self, rates: np.ndarray) -> np.ndarray:
         """(m, lights, n) behind filters of ln rates (m, 4): see `STARTS`."""
         out = np.empty((len(rates), *self.log.shape))
@@ -145,13 +153,38 @@ def refine(
         centre: (4,) ln rates of the filter to which it is weakly held.
         steps: at most;  tolerance: relative, of the loss.
     """
-    problem, count = _Problem(changes, light, begin_s, centre), len(changes.time)
-    found = least_squares(
-        problem.residuals, np.clip(start, LOWER, UPPER), problem.jacobian, (LOWER, UPPER), loss="soft_l1", f_scale=SOFT,
-        x_scale="jac", max_nfev=steps, ftol=tolerance, xtol=None, gtol=None,
-    )  # fmt: skip
-    r = found.fun[:count]
-    return Refined(begin_s, found.x, r, problem.jacobian(found.x)[:count], soft_loss(r))
+    problem = _Problem(changes, light, begin_s, centre)
+    x = np.clip(start, LOWER, UPPER)
+    r, damping = problem.residuals(x), 1e-3
+    for _ in range(steps):
+        jacobian = problem.jacobian(x)
+        weighted = jacobian / np.sqrt(1.0 + (r / SOFT) ** 2)[:, None]  # of the soft loss
+        gradient, curvature = weighted.T @ r, weighted.T @ jacobian
+        free = ~((x <= LOWER) & (gradient > 0) | (x >= UPPER) & (gradient < 0))
+        before = soft_loss(r).sum()
+        for _ in range(6):
+            x_new, r_new = x.copy(), r
+            x_new[free] -= _step(gradient[free], curvature[np.ix_(free, free)], damping)
+            x_new = np.clip(x_new, LOWER, UPPER)
+            r_new = problem.residuals(x_new)
+            lower = before - soft_loss(r_new).sum()
+            if lower > 0.0:
+                break
+            damping *= 5.0
+        if lower <= 0.0:
+            break
+        x, r, damping = x_new, r_new, 0.2 * damping
+        if lower < tolerance * before:
+            break
+    count = len(changes.time)
+    r, jacobian = problem.residuals(x)[:count], problem.jacobian(x)[:count]
+    return Refined(begin_s, x, r, jacobian, soft_loss(r))
+
+
+def _step(gradient: np.ndarray, curvature: np.ndarray, damping: float) -> np.ndarray:
+    """Levenberg–Marquardt."""
+    own = np.maximum(np.diag(curvature), 1e-12)
+    return np.linalg.solve(curvature + np.diag(damping * own + 1e-12), gradient)
 
 
 def downhill(changes: Changes, light: LogLight, begin: Refined, end: Refined) -> bool:
@@ -179,22 +212,16 @@ def scan(
         begins_s: (k,) the light's time zero from `origin_s`.
         x: (9,) parameters; the rate is 0.
     """
-    dead, on, off = DEAD_S * x[6], np.exp(-x[7]), np.exp(-x[8])
-    out = np.empty((2, len(begins_s)))
-    _scan(
-        filtered,
-        light.first_s,
-        light.step_s,
-        changes.begin + dead,
-        changes.time,
-        changes.sign,
-        changes.light,
-        np.where(changes.sign > 0, on, off),
-        np.asarray(begins_s, float),
-        SOFT,
-        out,
-    )
-    return out[0], out[1]
+    gain = np.where(changes.sign > 0, np.exp(-x[7]), np.exp(-x[8])) * changes.sign
+    loss, count = np.zeros(len(begins_s)), np.zeros(len(begins_s))
+    for k in range(0, len(begins_s), SCANNED_AT_ONCE):
+        begin_s = begins_s[k : k + SCANNED_AT_ONCE, None]
+        first, end = changes.begin + DEAD_S * x[6] - begin_s, changes.time - begin_s
+        inside = (first >= light.first_s) & (first <= end) & (end < light.last_s)
+        low, high = (light.at(filtered, t, changes.light)[0] for t in (first, end))
+        loss[k : k + SCANNED_AT_ONCE] = np.where(inside, soft_loss(gain * (high - low) - 1.0), 0.0).sum(axis=1)
+        count[k : k + SCANNED_AT_ONCE] = inside.sum(axis=1)
+    return loss, count
 
 
 def within(changes: Changes, light: LogLight, fit: Refined, middle_s: float | None = None) -> np.ndarray:
@@ -230,26 +257,17 @@ class _Problem:
     def _gain(self, x: np.ndarray) -> np.ndarray:
         return np.where(self.changes.sign > 0, np.exp(-x[7]), np.exp(-x[8])) * self.changes.sign
 
-    def _at(self, filtered: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Value and slope of the filtered light at times t (n,); constant outside of the grid."""
-        place = (t - self.light.first_s) / self.light.step_s
-        last, row = filtered.shape[1] - 1, self.changes.light
-        k = np.clip(place, 0, last - 1).astype(np.int64)
-        low, rise = filtered[row, k], filtered[row, k + 1] - filtered[row, k]
-        inside = (place > 0.0) & (place < last)
-        return low + np.clip(place - k, 0.0, 1.0) * rise, np.where(inside, rise / self.light.step_s, 0.0)
-
     def residuals(self, x: np.ndarray) -> np.ndarray:
         if not np.array_equal(x[2:6], self.rates):
             self.rates, self.filtered = x[2:6].copy(), self.light.filtered(x[None, 2:6])[0]
-        end, begin = (self._at(self.filtered, t)[0] for t in self._times(x))
+        end, begin = (self.light.at(self.filtered, t, self.changes.light)[0] for t in self._times(x))
         return np.concatenate([self._gain(x) * (end - begin) - 1.0, self.holds * (x[2:6] - self.centre)])
 
     def jacobian(self, x: np.ndarray) -> np.ndarray:
         r = self.residuals(x)[: len(self.changes.time)]
         time, begin = self._times(x)
-        gain, on = self._gain(x), self.changes.sign > 0
-        (_, fast), (_, fast_begin) = self._at(self.filtered, time), self._at(self.filtered, begin)
+        gain, on, which = self._gain(x), self.changes.sign > 0, self.changes.light
+        (_, fast), (_, fast_begin) = (self.light.at(self.filtered, t, which) for t in (time, begin))
         out = np.zeros((len(r) + 4, 9))
         rows = out[: len(r)]
         rows[:, 0] = -SHIFT_S * gain * (fast - fast_begin)
@@ -257,7 +275,8 @@ class _Problem:
         rows[:, 1] = -RATE_BOUND * gain * (fast * apart[0] - fast_begin * apart[1])
         step = 1e-4
         for k, moved in enumerate(self.light.filtered(x[2:6] + step * np.eye(4)), start=2):
-            rows[:, k] = (gain * (self._at(moved, time)[0] - self._at(moved, begin)[0]) - 1.0 - r) / step
+            high, low = (self.light.at(moved, t, which)[0] for t in (time, begin))
+            rows[:, k] = (gain * (high - low) - 1.0 - r) / step
         rows[:, 6] = -DEAD_S * gain * fast_begin
         rows[on, 7], rows[~on, 8] = -(r[on] + 1.0), -(r[~on] + 1.0)
         out[len(r) + np.arange(4), 2 + np.arange(4)] = self.holds
@@ -290,22 +309,3 @@ def _filter(u, relative, step, rates, out):
             s[j] = mean + (s[j] - mean) * keep[j]
             y[j], v[j] = y1, v1
             out[j, k] = s[j]
-
-
-@njit(cache=True)
-def _scan(y, first, step, begin, time, sign, which, gain, offsets, soft, out):
-    n = y.shape[1]
-    for o in range(len(offsets)):
-        total, count = 0.0, 0
-        for k in range(len(time)):
-            p, q = (begin[k] - offsets[o] - first) / step, (time[k] - offsets[o] - first) / step
-            if p < 0.0 or q < p or q >= n - 1:
-                continue
-            row = y[which[k]]
-            i, j = int(p), int(q)
-            low = row[i] + (p - i) * (row[i + 1] - row[i])
-            high = row[j] + (q - j) * (row[j + 1] - row[j])
-            r = (sign[k] * gain[k] * (high - low) - 1.0) / soft
-            total += soft * soft * (np.sqrt(1.0 + r * r) - 1.0)
-            count += 1
-        out[0, o], out[1, o] = total, count

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.signal import correlate, correlation_lags, find_peaks
 
 from pixelid.errors import InputError
-from pixelid.recordings.alignment_filter import STARTS, Changes, LogLight, Refined, lag_s, scan, soft_loss
+from pixelid.recordings.alignment_filter import DEAD_S, STARTS, Changes, LogLight, Refined, lag_s, scan, soft_loss
 from pixelid.recordings.recording import Recording
 from pixelid.stimuli.pixel_lights import Light, pixel_lights
 from pixelid.stimuli.stimulus import Stimulus
@@ -144,7 +144,9 @@ def best_starts(changes: Changes, light: LogLight, peaks: np.ndarray) -> list[tu
         for peak in peaks:
             best = (np.inf, 0.0, start)
             for begin in peak + np.linspace(-1.5 * lag - 1e-3, 1e-3, 24):
-                moved = _moved(few, light, filtered, begin, start)
+                times = few.time - begin, few.begin + DEAD_S * start[4] - begin
+                end, first = (light.at(filtered, t, few.light)[0] for t in times)
+                moved = few.sign * (end - first)  # towards the event, in e-folds
                 x = np.array([*start[:5], *(np.log(max(_typical(moved[mine]), 0.02)) for mine in (on, ~on))])
                 cost = float(soft_loss(moved * np.where(on, np.exp(-x[5]), np.exp(-x[6])) - 1.0).mean())
                 best = min(best, (cost, begin, x), key=lambda entry: entry[0])
@@ -155,17 +157,6 @@ def best_starts(changes: Changes, light: LogLight, peaks: np.ndarray) -> list[tu
 
 def _typical(moved: np.ndarray) -> float:
     return float(np.median(moved)) if len(moved) else 0.2
-
-
-def _moved(changes: Changes, light: LogLight, filtered: np.ndarray, begin: float, start: np.ndarray) -> np.ndarray:
-    """(n,) how far the filtered light has moved towards the event, in e-folds."""
-    grid = light.first_s + light.step_s * np.arange(light.log.shape[1])
-    out = np.zeros(len(changes.time))
-    for k, row in enumerate(filtered):
-        mine = changes.light == k
-        end, first = changes.time[mine] - begin, changes.begin[mine] + 1e-4 * start[4] - begin
-        out[mine] = changes.sign[mine] * (np.interp(end, grid, row) - np.interp(first, grid, row))
-    return out
 
 
 def scan_offsets(changes: Changes, light: LogLight, fit: Refined) -> tuple[np.ndarray, np.ndarray]:

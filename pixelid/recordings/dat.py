@@ -9,15 +9,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
-
 from pixelid.errors import InputError
 from pixelid.recordings.columns import Rollovers, word_pairs
+from pixelid.recordings.raw import Block
 
 PIXEL_EVENTS = (0x00, 0x0C)  # kinds
 
 
-def decode(path: Path, start: int) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+def decode(path: Path, start: int) -> Iterator[Block]:
     """Blocks of (t µs, x, y, p), the clock's rollovers undone; a fall that is none stays.
 
     Args:
@@ -35,4 +34,4 @@ def decode(path: Path, start: int) -> Iterator[tuple[np.ndarray, np.ndarray, np.
     clock = Rollovers(1 << 32)
     for words in word_pairs(path, start + 2, "<u4"):
         address = words[:, 1]
-        yield clock.undone(words[:, 0]), address & 0x3FFF, address >> 14 & 0x3FFF, address >> 28
+        yield Block(clock.undone(words[:, 0]), address & 0x3FFF, address >> 14 & 0x3FFF, address >> 28)

@@ -54,9 +54,7 @@ def opened(path: Path, options: ReadingOptions) -> RawEvents:
     if kind == "evt":
         return replace(raw, blocks=lambda: _evt(path, header, start), size=size, likely_sizes=likely)
     if kind == "dat" and header.get("Version") == "2":
-        return replace(
-            raw, blocks=lambda: (Block.of(c) for c in dat.decode(path, start)), size=size, likely_sizes=likely
-        )
+        return replace(raw, blocks=lambda: dat.decode(path, start), size=size, likely_sizes=likely)
     wide, high = size
     return _others(path, kind, raw, None if wide is None or high is None else (wide, high))
 
@@ -119,7 +117,7 @@ def _aedat(path: Path, raw: RawEvents, options: ReadingOptions) -> RawEvents:
                 triggers = Triggers.from_columns(
                     nanoseconds, rising, np.zeros(len(every), np.uint8), where=f"{path}: triggers"
                 )
-            yield Block.of(_columns([packet for packet in map(mine, batch) if packet is not None]), triggers)
+            yield Block(*_columns(list(map(mine, batch))), triggers)
 
     names = tuple(streams) if len(streams) > 1 else ()
     return replace(raw, blocks=blocks, size=streams[name].dimensions, streams=names)
@@ -138,7 +136,7 @@ def _others(path: Path, kind, raw: RawEvents, size: tuple[int, int] | None) -> R
             yield packet.copy()  # the decoder's own memory is overwritten
 
     def blocks() -> Iterator[Block]:
-        return (Block.of(_columns(batch)) for batch in _batches(checked_packets(packets, path), lambda packet: packet))
+        return (Block(*_columns(batch)) for batch in _batches(checked_packets(packets, path), lambda packet: packet))
 
     next(blocks(), None)
     return replace(raw, blocks=blocks, size=sizes[0] if sizes and sizes[0] != NO_SIZE else (None, None))

@@ -37,12 +37,10 @@ from pixelid.recordings.recording import Recording
 from pixelid.recordings.source import ReadingOptions
 from pixelid.recordings.statements import stated_size, stated_unit
 from pixelid.recordings.triggers import COLUMNS, Triggers
-from pixelid.stimuli.pixel_lights import light_from_arrays
 
 PIECE, WHOLE = 1 << 20, 1 << 22  # events taken at once; a compressed piece of more is taken once, with all others
 MOST_OBJECTS = 1000  # groups of a file
 SMALL_BYTES, MOST_RATIO = 1 << 26, 2000  # deflate compresses a thousandfold at most
-USUAL_LIGHT = (("unit", "relative"), ("interpolation", "linear"))
 NAMED = {"format", "version", "condition", "sensor", "pooled"}
 MILLISECONDS = ("ms_to_idx", "ms_map_idx")  # for every millisecond, the first event: so times are µs
 MILLISECOND_SIZES = (640, 480), (1280, 720)  # DSEC, EDS, VECtor; TUM-VIE
@@ -55,8 +53,7 @@ def opened(path: Path, options: ReadingOptions) -> RawEvents:
     """What an HDF5 file holds; raises InputError for anything that docs/formats.md does not allow."""
     import h5py
 
-    with contextlib.suppress(ImportError):
-        import hdf5plugin  # noqa: F401  # registers its filters
+    import hdf5plugin  # noqa: F401  # registers its filters
 
     if not h5py.is_hdf5(path):
         raise InputError(f"{path}: expected an HDF5 file, found something else")
@@ -79,18 +76,16 @@ def _damage(path: Path) -> Iterator[None]:
 
 def _own(file, path: Path, attributes: dict, pooled: bool) -> RawEvents:
     """The project's own format, which states everything."""
+    labels = {name: str(attributes.get(name, "")) for name in ("condition", "sensor")}
+    meta = {**labels, "pooled": pooled, "attributes": {k: v for k, v in attributes.items() if k not in NAMED}}
     triggers = light = None
     if "triggers" in file:
         columns = _columns(file, path, "triggers", COLUMNS)
         triggers = Triggers.from_columns(*(columns[name][:] for name in COLUMNS), where=f"{path}: triggers")
     if "stimulus" in file:
-        columns, stated = _columns(file, path, "stimulus", ("t", "radiance")), file["stimulus"].attrs
-        light_is: list[Any] = [_attribute(stated.get(name, usual)) for name, usual in USUAL_LIGHT]
-        arrays = {name: column[:] for name, column in columns.items()}
-        light = light_from_arrays(arrays, *light_is, f"{path}: stimulus")
-    labels = {name: str(attributes.get(name, "")) for name in ("condition", "sensor")}
-    meta = {**labels, "pooled": pooled, "attributes": {k: v for k, v in attributes.items() if k not in NAMED}}
-    head = replace(assemble(meta, Events.empty(1, 1), None, path, str(path)), stimulus=light, triggers=triggers)
+        meta["stimulus"] = {name: _attribute(value) for name, value in file["stimulus"].attrs.items()}
+        light = {name: column[:] for name, column in _columns(file, path, "stimulus", ("t", "radiance")).items()}
+    head = replace(assemble(meta, Events.empty(1, 1), light, path, str(path)), triggers=triggers)
     duplicates, exposures = None, None
     if not pooled and "events" in file:
         value = file["events"].attrs.get("duplicates", 0)
@@ -156,7 +151,7 @@ def _foreign(file, path: Path, attributes: dict, options: ReadingOptions) -> Raw
     where = f"{path}: {stream.name}"
     by_layout = any(name in one for one in groups for name in MILLISECONDS) or stream.name == "CD/events"
     holders = [_entries(one) for one in groups]
-    own = {name: _attribute(value) for name, value in file[stream.time].attrs.items()}
+    own = {name: _attribute(value) for name, value in file[stream.paths[0]].attrs.items()}
     unit = stream.unit or stated_unit(own, holders, where) or ("us" if by_layout else None)
     size, likely = stated_size(holders, where)
     if any("ms_to_idx" in one for one in groups):

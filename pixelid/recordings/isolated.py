@@ -1,9 +1,10 @@
 """Read files that a person did not write in a process of its own, which may crash, hang or run out of memory.
 
 Decoders are compiled libraries: for damaged bytes some abort, some loop, some ask for all the memory there is.  So one
-child process serves all reading.  It gets a line of JSON (reader, file) and answers with headers of JSON and raw
-columns, on a pipe of its own: the recording without its events, its parts one by one, at last nothing.  Its CPU time and its memory are limited in proportion to the file; when it dies, the
-caller gets one plain line, and the next file a new child.  Only numbers and JSON come back, nothing that is executed.
+child process serves all reading.  It gets a line of JSON (reader, file) and answers on a pipe of its own with headers
+of JSON and raw columns: the recording without its events, its parts one by one, at last nothing.  Its CPU time and its
+memory are limited in proportion to the file; when it dies, the caller gets one plain line, and the next file a new
+child.  Only numbers and JSON come back, nothing that is executed.
 
 Long recordings come from a child of their own that lives as long as they are read.
 """

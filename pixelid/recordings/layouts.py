@@ -57,20 +57,15 @@ class Stream:
     inferred: tuple[tuple[str, tuple[Any, str]], ...] = ()
     across: bool = False
 
-    @property
-    def time(self) -> str:
-        """Path of the times."""
-        return self.paths[0]
-
     def blocks(self, arrays: Arrays) -> Iterator[Block]:
         """Its columns, piece by piece."""
         for piece in arrays.pieces(self.paths):
             if not self.fields:
-                yield Block.of(column.reshape(-1) for column in piece)
+                yield Block(*(column.reshape(-1) for column in piece))
             elif isinstance(self.fields[0], str):
-                yield Block.of(piece[0][name] for name in self.fields)
+                yield Block(*(piece[0][name] for name in self.fields))
             else:
-                yield Block.of(piece[0][k] if self.across else piece[0][:, k] for k in self.fields)
+                yield Block(*(piece[0][k] if self.across else piece[0][:, k] for k in self.fields))
 
 
 def chosen_stream(

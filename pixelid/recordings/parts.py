@@ -72,22 +72,22 @@ class LongRecording:
 
 
 class Totals:
-    """Events and duration, part by part."""
+    """Events, and the times of the first and last (ns), part by part."""
 
     def __init__(self) -> None:
         self.events = 0
-        self._ends: list[int] = []
+        self.ends: list[int] = []
 
     def add(self, part: Recording) -> int:
         """Take in a part that follows those before; returns how many events there are so far."""
         self.events += len(part.events)
-        self._ends = [*self._ends[:1], *part.events.t[:1].tolist(), *part.events.t[-1:].tolist()]
+        self.ends = [*self.ends[:1], *part.events.t[:1].tolist(), *part.events.t[-1:].tolist()]
         return self.events
 
     @property
     def duration_s(self) -> float:
         """Seconds between the first and the last event."""
-        return float(self._ends[-1] - self._ends[0]) * 1e-9 if self.events > 1 else 0.0
+        return float(self.ends[-1] - self.ends[0]) * 1e-9 if self.events > 1 else 0.0
 
 
 def joined(head: Recording, parts: Iterable[Recording]) -> Recording:

@@ -226,7 +226,7 @@ def _by_edges(
 
 
 def _later(events: EventAlignment, at_s: float, moment: float, sd_s: float) -> tuple[float, float]:
-    """(seconds by which a statement that a moment of the light is at `at_s` is later than by events, standard error)."""
+    """(seconds by which a moment of the light, stated at `at_s`, is later than by the events; standard error)."""
     late = at_s - events.offset_s - (1.0 + events.rate_error) * moment
     return late, float(np.hypot(events.sd_at(moment), sd_s))
 

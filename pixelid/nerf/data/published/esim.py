@@ -142,13 +142,13 @@ def _events(bag: Path, topic: str) -> Callable[[int, int], Iterator[Block]]:
             waiting: list[Block] = []
             number = 0
             for _, _, data in reader.messages(connections=connections):
-                for t, x, y, p in record_columns(bytes(data), reader.is2, bag)[1]:
-                    if len(t) and t.min() > end + AFTER_NS:
-                        yield from _joined(waiting)
-                        return
-                    if len(t) and t.max() >= begin:
-                        waiting.append(Block(t, x, y, p != 0))
-                        number += len(t)
+                t, x, y, p = record_columns(bytes(data), reader.is2, bag)[1]
+                if len(t) and t.min() > end + AFTER_NS:
+                    yield from _joined(waiting)
+                    return
+                if len(t) and t.max() >= begin:
+                    waiting.append(Block(t, x, y, p != 0))
+                    number += len(t)
                 if number >= BLOCK:
                     yield from _joined(waiting)
                     waiting, number = [], 0
