@@ -52,7 +52,6 @@ FILTERS = {0x8ECF: "ECF (Prophesee's plugin: set HDF5_PLUGIN_PATH, or convert wi
 def opened(path: Path, options: ReadingOptions) -> RawEvents:
     """What an HDF5 file holds; raises InputError for anything that docs/formats.md does not allow."""
     import h5py
-
     import hdf5plugin  # noqa: F401  # registers its filters
 
     if not h5py.is_hdf5(path):

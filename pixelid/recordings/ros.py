@@ -39,7 +39,7 @@ RECORDS = ("dvs_msgs", "prophesee_event_msgs")
 PACKETS = "event_camera_msgs/msg/EventPacket"
 ROS1_RECORD = np.dtype([("x", "<u2"), ("y", "<u2"), ("s", "<u4"), ("ns", "<u4"), ("p", "u1")])
 # CDR: two bytes after a multiple of four; only the first record begins on one, and lacks the two before its time
-CDR_RECORD = np.dtype([(("x", "<u2"), ("y", "<u2"), ("", "u2"), ("s", "<i4"), ("ns", "<u4"), ("p", "u1"), ("", "u1")])
+CDR_RECORD = np.dtype([("x", "<u2"), ("y", "<u2"), ("", "u2"), ("s", "<i4"), ("ns", "<u4"), ("p", "u1"), ("", "u1")])
 LIBCAER = np.dtype([("address", "<u4"), ("t", "<u4")])
 ROLLOVER_US = 1 << 31
 
