@@ -57,7 +57,7 @@ def _blocks(path: Path, start: int, dvs128: bool) -> Iterator[Block]:
         address = words[:, 0].astype(np.uint32)
         no_event, *xyp = columns(address)
         keep = (address >> 31 | no_event) == 0
-        yield Block(clock.undone(words[keep, 1]), *(column[keep] for column in xyp))
+        yield Block.of((clock.undone(words[keep, 1]), *(column[keep] for column in xyp)))
 
 
 def _of_davis(address: np.ndarray) -> tuple[np.ndarray, ...]:

@@ -9,7 +9,7 @@ of the camera's seconds one second of the light takes (1 + rate error).  What th
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 
@@ -99,17 +99,30 @@ def _given(how: str, light: Light) -> Alignment:
             f"--align: expected {', '.join(METHODS)} or seconds, as 12.345 or 12.345±0.001, found {how!r}"
             f"{did_you_mean(how, METHODS)}"
         )
-    return known_alignment(seconds, "given", ClockPrior(0.0, light.duration_s, sd, 0.0, CRYSTAL), light)
+    return known_alignment(seconds, "given", 0.0, sd, light)
 
 
-def known_alignment(offset_s: float, method: str, prior: ClockPrior, light: Light, rate: float = 0.0) -> Alignment:
-    """An alignment that is known as well as its prior says; `offset_s` at the light's time zero."""
-    assert prior.delay_sd_s is not None
-    half, start_half = (
-        Z95 * float(np.hypot(prior.delay_sd_s, (moment - prior.at_s) * prior.rate_sd))
-        for moment in (0.0, light.start_s)
-    )
-    rates = rate - Z95 * prior.rate_sd, rate + Z95 * prior.rate_sd
+def known_alignment(
+    offset_s: float,
+    method: str,
+    at_s: float,
+    delay_sd_s: float,
+    light: Light,
+    rate: float = 0.0,
+    rate_sd: float = CRYSTAL,
+) -> Alignment:
+    """An alignment that is known as well as stated; its prior knows the clocks' rate as well as crystals keep it.
+
+    Args:
+        offset_s: at the light's time zero.
+        method: of `Alignment`.
+        at_s: the light's moment at which the delay is known to `delay_sd_s`.
+        light: that is aligned.
+        rate, rate_sd: of the clock rate error.
+    """
+    half, start_half = (Z95 * float(np.hypot(delay_sd_s, (moment - at_s) * rate_sd)) for moment in (0.0, light.start_s))
+    prior = ClockPrior(at_s, light.duration_s, delay_sd_s, 0.0, CRYSTAL)
+    rates = rate - Z95 * rate_sd, rate + Z95 * rate_sd
     interval, start_s = (offset_s - half, offset_s + half), offset_s + (1.0 + rate) * light.start_s
     return Alignment(offset_s, method, interval, rate, rates, prior, start_s, start_half)
 
@@ -189,7 +202,7 @@ def _with_light(recording: Recording, light: Light, alignment: Alignment, outsid
     told = {**alignment.as_dict(), "zero_ns": zero_ns, "events_outside": outside}
     if alignment.prior is not None:
         at_s = offset_s + rate * alignment.prior.at_s
-        told["prior"] = replace(alignment.prior, at_s=at_s, span_s=rate * alignment.prior.span_s).as_dict()
+        told["prior"] = asdict(replace(alignment.prior, at_s=at_s, span_s=rate * alignment.prior.span_s))
     attributes = {**recording.attributes, "alignment": told}
     if ATTRIBUTE in attributes:
         attributes[ATTRIBUTE] = kept_of(recording).shifted(zero_ns * 1e-9).as_dict()
@@ -231,12 +244,10 @@ def _trigger_alignment(recording: Recording, light: Light, how: str) -> Alignmen
     if len(edges) == 2:
         between = float(np.diff(moments)[0])
         rate, rate_sd = float(np.diff(edges)[0]) / between - 1.0, float(np.sqrt(2.0)) * stamp / between
-    prior = ClockPrior(begin, light.duration_s, stamp, 0.0, CRYSTAL)
-    offset = float(edges[0]) - (1.0 + rate) * begin
-    alignment = known_alignment(offset, "trigger", replace(prior, rate_sd=rate_sd), light, rate)
     assert recording.triggers is not None
     note = "" if recording.triggers.rises_at(edges[0]) else "no edge rises; falling ones are taken"
-    return replace(alignment, prior=prior, note=note)
+    offset = float(edges[0]) - (1.0 + rate) * begin
+    return replace(known_alignment(offset, "trigger", begin, stamp, light, rate, rate_sd), note=note)
 
 
 def _edges_s(recording: Recording, triggers: Triggers, channel: str) -> np.ndarray:

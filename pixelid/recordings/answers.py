@@ -77,5 +77,5 @@ def send(pipe: IO[bytes], header: dict[str, Any], columns: Mapping[str, np.ndarr
 def receive(pipe: IO[bytes]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """The header of an answer and its columns.  Raises ValueError where it is cut."""
     header, names = json.loads(pipe.read(int.from_bytes(pipe.read(8), "little")))
-    unnamed = SimpleNamespace(read=pipe.read)  # of real files NumPy asks for their place, which a pipe has not
+    unnamed: Any = SimpleNamespace(read=pipe.read)  # of real files NumPy asks for their place, which a pipe has not
     return header, {name: np.lib.format.read_array(unnamed, allow_pickle=False) for name in names}

@@ -19,7 +19,8 @@ from pixelid.recordings.events import Events
 from pixelid.recordings.raw import Block, RawEvents
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.rules import chosen_name
-from pixelid.recordings.source import ReadingOptions, size_of_chip
+from pixelid.recordings.source import ReadingOptions
+from pixelid.recordings.statements import Likely, Size, stated_size
 from pixelid.recordings.triggers import Triggers
 
 Packet = TypeVar("Packet")
@@ -50,7 +51,7 @@ def opened(path: Path, options: ReadingOptions) -> RawEvents:
     raw = RawEvents(head, lambda: iter(()), f"{path}: events", "us", 1000, polarity="01")
     if kind == "aedat":
         return _aedat(path, raw, options)
-    size, likely = _sizes(header)
+    size, likely = _sizes(header, f"{path}: header")
     if kind == "evt":
         return replace(raw, blocks=lambda: _evt(path, header, start), size=size, likely_sizes=likely)
     if kind == "dat" and header.get("Version") == "2":
@@ -117,7 +118,7 @@ def _aedat(path: Path, raw: RawEvents, options: ReadingOptions) -> RawEvents:
                 triggers = Triggers.from_columns(
                     nanoseconds, rising, np.zeros(len(every), np.uint8), where=f"{path}: triggers"
                 )
-            yield Block(*_columns(list(map(mine, batch))), triggers)
+            yield Block.of(_columns(list(map(mine, batch))), triggers)
 
     names = tuple(streams) if len(streams) > 1 else ()
     return replace(raw, blocks=blocks, size=streams[name].dimensions, streams=names)
@@ -136,7 +137,7 @@ def _others(path: Path, kind, raw: RawEvents, size: tuple[int, int] | None) -> R
             yield packet.copy()  # the decoder's own memory is overwritten
 
     def blocks() -> Iterator[Block]:
-        return (Block(*_columns(batch)) for batch in _batches(checked_packets(packets, path), lambda packet: packet))
+        return (Block.of(_columns(batch)) for batch in _batches(checked_packets(packets, path), lambda packet: packet))
 
     next(blocks(), None)
     return replace(raw, blocks=blocks, size=sizes[0] if sizes and sizes[0] != NO_SIZE else (None, None))
@@ -196,19 +197,12 @@ def _header(path: Path) -> tuple[dict[str, str], int]:
     return header, start
 
 
-def _sizes(header: dict[str, str]) -> tuple[tuple[int | None, int | None], tuple]:
+def _sizes(header: dict[str, str], where: str) -> tuple[Size, Likely]:
     """Sensor size that a header states, or what its sensor's generation, system number or plugin suggest."""
-    text = " ".join(f"{name} {value}" for name, value in header.items())
-    if found := re.search(r"geometry (\d+)x(\d+)", text):
-        return (int(found.group(1)), int(found.group(2))), ()
-    width, height = re.search(r"width[= ](\d+)", text, re.I), re.search(r"height[= ](\d+)", text, re.I)
-    if width and height:
-        return (int(width.group(1)), int(height.group(1))), ()
-    generation = re.search(r"(gen\d|imx6[34][67]|genx320)", text, re.I)
-    generation = generation.group(1) if generation else f"gen{header.get('sensor_generation', '')}"
-    if (size := size_of_chip(generation)) is not None:
-        return (None, None), ((size, f" of the sensor ({generation})"),)
-    system = header.get("system_ID", "")
-    number = int(system) if system.isdecimal() and len(system) < 6 else -1
-    size = (640, 480) if number in VGA_SYSTEMS else (1280, 720) if number in HD_SYSTEMS else None
-    return (None, None), () if size is None else ((size, f" of the maker's system {number}"),)
+    words = dict(word.split("=", 1) for word in header.get("format", "").split(";") if "=" in word)
+    stated = {"sensor": f"gen{header.get('sensor_generation', '')}", **header, **words}
+    values = {name: int(value) if value.isdecimal() and len(value) < 6 else value for name, value in stated.items()}
+    size, likely = stated_size([values], where)
+    number = values.get("system_ID")
+    system = (640, 480) if number in VGA_SYSTEMS else (1280, 720) if number in HD_SYSTEMS else None
+    return size, likely if system is None else (*likely, (system, f" of the maker's system {number}"))

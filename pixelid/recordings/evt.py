@@ -67,9 +67,8 @@ def decode(file: BinaryIO, version: str, named: Path, swapped: bool | None = Non
         seen += len(words)
         if form.size == 4:  # as words of 2.1, each of one pixel
             words = words.astype(np.uint64) << np.uint64(32) | np.uint64(1)
-        most = form.most(words, kinds)
-        t, x, y = np.empty((3, most), np.int64)
-        p = np.empty(most, np.uint8)
+        t, x, y = np.empty((3, form.most * len(words)), np.int64)
+        p = np.empty(len(t), np.uint8)
         edges = np.empty((3, len(words)), np.int64)
         events, count = form.read(words, state, 1 << form.high_bits, t, x, y, p, edges)
         found = None
@@ -77,7 +76,7 @@ def decode(file: BinaryIO, version: str, named: Path, swapped: bool | None = Non
             when, channel, rising = edges[:, :count]
             where = f"{named}: triggers"
             found = Triggers.from_columns(when * 1000, rising, channel.astype(np.uint8), where=where)
-        yield Block(t[:events], x[:events], y[:events], p[:events], found)
+        yield Block.of((column[:events].copy() for column in (t, x, y, p)), found)
     if seen and not known:
         raise InputError(f"{named}: expected words of EVT {version}, found none in {seen}")
 
@@ -160,19 +159,18 @@ def _evt3(words, state, span, t, x, y, p, edges):
 @dataclass(frozen=True)
 class _Format:
     """size: bytes of a word;  high_bits: of the time, after which its high part rolls over;  known: types of words
-    most: events in words of these types at most;  halves: whether the halves of a word may be exchanged"""
+    most: events in a word;  halves: whether the halves of a word may be exchanged"""
 
     size: int
     high_bits: int
     known: tuple[int, ...]
     read: Callable
-    most: Callable[[np.ndarray, np.ndarray], int]
+    most: int
     halves: bool = False
 
 
 FORMATS = {
-    "2.0": _Format(4, 28, (0x0, 0x1, 0x8, 0xA), _evt2, lambda words, kinds: len(words)),
-    "2.1": _Format(8, 28, (0x0, 0x1, 0x8, 0xA), _evt2, lambda words, kinds: 32 * int((kinds <= 1).sum()), halves=True),
-    "3.0": _Format(2, 12, (0x0, 0x2, 0x3, 0x4, 0x5, 0x6, 0x8, 0xA), _evt3, lambda words, kinds: int(
-        (kinds == 2).sum() + 12 * (kinds == 4).sum() + 8 * (kinds == 5).sum())),
-}  # fmt: skip
+    "2.0": _Format(4, 28, (0x0, 0x1, 0x8, 0xA), _evt2, 1),
+    "2.1": _Format(8, 28, (0x0, 0x1, 0x8, 0xA), _evt2, 32, halves=True),
+    "3.0": _Format(2, 12, (0x0, 0x2, 0x3, 0x4, 0x5, 0x6, 0x8, 0xA), _evt3, 12),
+}

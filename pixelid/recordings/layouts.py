@@ -61,11 +61,11 @@ class Stream:
         """Its columns, piece by piece."""
         for piece in arrays.pieces(self.paths):
             if not self.fields:
-                yield Block(*(column.reshape(-1) for column in piece))
+                yield Block.of(column.reshape(-1) for column in piece)
             elif isinstance(self.fields[0], str):
-                yield Block(*(piece[0][name] for name in self.fields))
+                yield Block.of(piece[0][name] for name in self.fields)
             else:
-                yield Block(*(piece[0][k] if self.across else piece[0][:, k] for k in self.fields))
+                yield Block.of(piece[0][k] if self.across else piece[0][:, k] for k in self.fields)
 
 
 def chosen_stream(
@@ -98,8 +98,9 @@ def _streams(arrays: Arrays, options: ReadingOptions, where: str) -> list[Stream
     for path, (_, shape) in arrays.kinds.items():
         if shape:
             groups.setdefault(path.rpartition("/")[0], []).append(path)
-    found = [_of_group(arrays, group, paths, options, where) for group, paths in groups.items()]
-    found += [_of_records(path, kind, options) for path, kind in arrays.kinds.items()]
+    by_name = [word for word in options.columns if "=" in word]  # arrays of a group have no order
+    found = [_of_group(arrays, group, paths, by_name, where) for group, paths in groups.items()]
+    found += [_of_records(path, kind, by_name) for path, kind in arrays.kinds.items()]
     streams = [stream for stream in found if stream is not None]
     stated = len(options.columns)
     plain = [path for path, (dtype, shape) in arrays.kinds.items()
@@ -111,8 +112,8 @@ def _streams(arrays: Arrays, options: ReadingOptions, where: str) -> list[Stream
     return streams
 
 
-def _of_group(arrays: Arrays, group: str, paths: list[str], options: ReadingOptions, where: str) -> Stream | None:
-    order, unit = named_columns([path.rpartition("/")[2] for path in paths], _by_name(options))
+def _of_group(arrays: Arrays, group: str, paths: list[str], by_name: Sequence[str], where: str) -> Stream | None:
+    order, unit = named_columns([path.rpartition("/")[2] for path in paths], by_name)
     if order is None:
         return None
     chosen = tuple(paths[k] for k in order)
@@ -127,14 +128,9 @@ def _of_group(arrays: Arrays, group: str, paths: list[str], options: ReadingOpti
     return Stream(group or "/", lengths[0], chosen, (), unit)
 
 
-def _by_name(options: ReadingOptions) -> list[str]:
-    """Columns that are stated by their names in the file: arrays of a group have no order."""
-    return [word for word in options.columns if "=" in word]
-
-
-def _of_records(path: str, kind: Kind, options: ReadingOptions) -> Stream | None:
+def _of_records(path: str, kind: Kind, by_name: Sequence[str]) -> Stream | None:
     names = kind[0].names or ()
-    order, unit = named_columns(names, _by_name(options)) if names else (None, None)
+    order, unit = named_columns(names, by_name) if names else (None, None)
     if order is None or len(kind[1]) != 1:
         return None
     return Stream(path, kind[1][0], (path,), tuple(names[k] for k in order), unit)

@@ -39,7 +39,7 @@ def opened(path: Path, options: ReadingOptions) -> RawEvents:
             if shape in ((), (1,), (2,)) or name.startswith(PREFIX)
         }
     small = {name: str(value) if value.dtype.kind in "US" else value for name, value in values.items()}
-    meta = metadata.from_json(small["metadata"], f"{path}: metadata") if "metadata" in small else {}
+    meta = metadata.from_json(str(small["metadata"]), f"{path}: metadata") if "metadata" in small else {}
     stream, streams = chosen_stream(arrays, options, where)
     unit = meta.get("unit") or stream.unit or stated_unit(small, (), where)
     size, likely = stated_size([meta, small], where)

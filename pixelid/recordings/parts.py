@@ -93,15 +93,10 @@ class Totals:
 def joined(head: Recording, parts: Iterable[Recording]) -> Recording:
     """One recording of its parts."""
     parts = list(parts)
-    return replace(head, events=_joined_events(head, parts), triggers=Triggers.joined(p.triggers for p in parts))
-
-
-def _joined_events(head: Recording, parts: list[Recording]) -> Events:
-    filled = [part.events for part in parts if len(part.events)]
-    if len(filled) < 2:
-        return filled[0] if filled else head.events
-    t, x, y, p = (np.concatenate([getattr(events, name) for events in filled]) for name in "txyp")
-    return Events(t, x, y, p, head.events.width, head.events.height, head.events.tick_ns)
+    every = [part.events for part in parts if len(part.events)] or [head.events]
+    t, x, y, p = (np.concatenate([getattr(events, name) for events in every]) for name in "txyp")
+    events = Events(t, x, y, p, head.events.width, head.events.height, head.events.tick_ns)
+    return replace(head, events=events, triggers=Triggers.joined(part.triggers for part in parts))
 
 
 def as_whole(recording: Recording | LongRecording) -> Recording:

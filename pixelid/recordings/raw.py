@@ -6,7 +6,7 @@ polarity and clock, reading the columns once before where that takes a look at a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -37,6 +37,12 @@ class Block(NamedTuple):
     y: np.ndarray
     p: np.ndarray
     triggers: Triggers | None = None
+
+    @classmethod
+    def of(cls, columns: Iterable[np.ndarray], triggers: Triggers | None = None) -> Block:
+        """Of the four columns together."""
+        t, x, y, p = columns
+        return cls(t, x, y, p, triggers)
 
 
 @dataclass(frozen=True)
@@ -227,18 +233,18 @@ def _of_stretch(settled: _Settled, blocks, stretch: tuple[int, int] | None) -> I
             part = slice(max(stretch[0] - seen, 0), max(stretch[1] - seen, 0))
             columns = tuple(column[part] for column in columns)
         seen += len(block.t)
-        yield Block(*columns, block.triggers)
+        yield Block.of(columns, block.triggers)
 
 
 def _sorted(settled: _Settled, blocks) -> Iterator[Block]:
     """Columns of the whole file in the order of their times."""
-    every = [Block(*settled.columns(block), block.triggers) for block in blocks()]
+    every = [Block.of(settled.columns(block), block.triggers) for block in blocks()]
     columns = [np.concatenate([getattr(block, name) for block in every]) for name in "txyp"]
     order = np.argsort(columns[0], kind="stable")
     columns = [column[order] for column in columns]
     edges = Triggers.joined(block.triggers for block in every)
     for k in range(0, len(order), PART_EVENTS):
-        yield Block(*(column[k : k + PART_EVENTS] for column in columns), edges if k == 0 else None)
+        yield Block.of((column[k : k + PART_EVENTS] for column in columns), edges if k == 0 else None)
 
 
 def _parts(head: Recording, columns: Iterator[Block], raw: RawEvents) -> Iterator[Recording]:

@@ -18,7 +18,7 @@ import numpy as np
 from pixelid.recordings.alignment import GIVEN_SD_S, find_alignment, known_alignment
 from pixelid.recordings.alignment_from_events import LEAST_CHANGES, NEAR_S, EventAlignment, alignment_of
 from pixelid.recordings.alignment_search import is_too_long
-from pixelid.recordings.clocks import CRYSTAL, Alignment, ClockPrior
+from pixelid.recordings.clocks import Alignment
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.session_cases import Case, SharedRate, cases_of, is_constant, shared_rate
 from pixelid.statistics import Z95
@@ -159,11 +159,10 @@ def _identified(case: Case, rate: SharedRate) -> EventAlignment | None:
 
 def _with_rate(given: Alignment, case: Case, rate: SharedRate) -> Alignment:
     """What was stated of the delay, with the session's rate."""
-    if given.prior is None:
+    if given.prior is None or given.prior.delay_sd_s is None:
         return given
-    known = replace(given.prior, rate_mean=rate.mean, rate_sd=rate.sd)
-    alignment = known_alignment(given.offset_s, given.method, known, case.light, rate.mean)
-    return replace(alignment, prior=given.prior)
+    at_s, sd = given.prior.at_s, given.prior.delay_sd_s
+    return known_alignment(given.offset_s, given.method, at_s, sd, case.light, rate.mean, rate.sd)
 
 
 def _hypothesis_doubts(case: Case) -> list[BenchDoubt]:
@@ -219,10 +218,8 @@ def _by_edges(
         return None, [*doubts, _delay(case, *late[edge], which)]
     stamp = case.stamp_s if edge >= 0 else float(np.hypot(case.stamp_s, np.ptp(case.edges_s - case.moments_s) + 1e-6))
     at, moment = float(case.edges_s[edge]), float(case.moments_s[edge])
-    known = ClockPrior(moment, case.light.duration_s, stamp, rate.mean, rate.sd)
-    alignment = known_alignment(at - (1.0 + rate.mean) * moment, "trigger", known, case.light, rate.mean)
-    prior = ClockPrior(moment, case.light.duration_s, stamp, 0.0, CRYSTAL)
-    return replace(alignment, prior=prior), doubts
+    offset = at - (1.0 + rate.mean) * moment
+    return known_alignment(offset, "trigger", moment, stamp, case.light, rate.mean, rate.sd), doubts
 
 
 def _later(events: EventAlignment, at_s: float, moment: float, sd_s: float) -> tuple[float, float]:
@@ -247,9 +244,7 @@ def _inherited(case: Case, rate: SharedRate) -> Alignment:
         offset = 0.5e-9 * float(events.t[0] + events.t[-1]) - (1.0 + rate.mean) * middle
     else:
         offset = -(1.0 + rate.mean) * light.start_s
-    known = ClockPrior(middle, light.duration_s, GIVEN_SD_S, rate.mean, rate.sd)
-    alignment = known_alignment(offset, "inherited", known, light, rate.mean)
-    return replace(alignment, prior=replace(known, rate_mean=0.0, rate_sd=CRYSTAL))
+    return known_alignment(offset, "inherited", middle, GIVEN_SD_S, light, rate.mean, rate.sd)
 
 
 def _result(

@@ -159,22 +159,17 @@ class Source:
 
     @classmethod
     def from_dict(cls, value: object) -> Source:
-        """Of an attribute, as far as it is one: files are not trusted."""
-        if not isinstance(value, dict):
+        """Of an attribute; empty where it is none: files are not trusted."""
+        try:
+            entries: dict[str, Any] = dict(value)  # type: ignore[call-overload]
+            inferred = {
+                name: (entry["value"], str(entry["why"])) for name, entry in entries.get("inferred", {}).items()
+            }
+            notes, streams = (tuple(map(str, entries.get(name, ()))) for name in ("notes", "streams"))
+            known = {name: entry for name, entry in inferred.items() if name in SUBJECT}
+            return cls(dict(entries.get("stated", {})), known, notes, streams)
+        except (AttributeError, LookupError, TypeError, ValueError):
             return cls()
-        inferred, notes = value.get("inferred"), value.get("notes")
-        entries = inferred.items() if isinstance(inferred, dict) else ()
-        kept = {
-            str(name): (entry.get("value"), str(entry.get("why", "")))
-            for name, entry in entries
-            if isinstance(entry, dict) and name in SUBJECT
-        }
-        stated, streams = value.get("stated"), value.get("streams")
-        return cls(
-            stated if isinstance(stated, dict) else {}, kept,
-            tuple(map(str, notes)) if isinstance(notes, list) else (),
-            tuple(map(str, streams)) if isinstance(streams, list) else (),
-        )  # fmt: skip
 
 
 def _words(value: Any) -> str:

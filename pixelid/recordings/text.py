@@ -73,7 +73,7 @@ def opened(path: Path, options: ReadingOptions) -> RawEvents:
     def blocks() -> Iterator[Block]:
         with _text(path):
             for columns in _frames(path, header, where, LINES_AT_ONCE):
-                yield Block(*(columns[k] for k in order))
+                yield Block.of(columns[k] for k in order)
 
     head = metadata.assemble(header.meta, Events.empty(1, 1), header.light, path, str(path))
     return RawEvents(head, blocks, where, unit, tick_ns, size=header.size, likely_sizes=header.chip, inferred=inferred,
