@@ -9,7 +9,17 @@ import numpy as np
 from scipy.signal import correlate, correlation_lags, find_peaks
 
 from pixelid.errors import InputError
-from pixelid.recordings.alignment_filter import DEAD_S, STARTS, Changes, LogLight, Refined, lag_s, scan, soft_loss
+from pixelid.recordings.alignment_filter import (
+    DEAD_S,
+    STARTS,
+    Changes,
+    LogLight,
+    Refined,
+    lag_s,
+    refine,
+    scan,
+    soft_loss,
+)
 from pixelid.recordings.recording import Recording
 from pixelid.stimuli.pixel_lights import Light, pixel_lights
 from pixelid.stimuli.stimulus import Stimulus
@@ -23,6 +33,7 @@ SCANNED = 6_000  # offsets of the scan: each half a bin of a chirp to 300 Hz ove
 MOST_LIGHTS = 8  # of pixels' own, those with most events: more would tell no other offset
 LEAST_COMMON = 0.4  # of the best's changes: of two or more periods, a shift by one leaves half
 RIVALS = 5  # offsets compared with the best
+NEAR_S = 2e-3  # offsets closer than this are one, known as badly as they differ
 
 
 def is_too_long(recording: Recording, light: Light) -> bool:
@@ -134,7 +145,30 @@ def _correlation_length(change: np.ndarray) -> float:
     return float(below[0]) if len(below) else 1.0
 
 
-def best_starts(changes: Changes, light: LogLight, peaks: np.ndarray) -> list[tuple[float, np.ndarray]]:
+def optima(changes: Changes, light: LogLight, peaks: np.ndarray) -> tuple[list[Refined], np.ndarray]:
+    """Refinements from all offsets worth one, and (2, k) lags from the best with their mean loss."""
+    begun = _best_starts(changes, light, peaks)
+    fits = sorted((refine(changes, light, begin, x, x[2:6], 15) for begin, x in begun), key=lambda fit: fit.cost)
+    x = fits[0].x
+    start = np.concatenate([[0.0, 0.0], x[2:]])
+    offsets, losses = _scanned(changes, light, fits[0])
+    lows, _ = find_peaks(-np.where(np.isfinite(losses), losses, 1.0))
+    lows = [float(offsets[k]) for k in lows[np.argsort(losses[lows])][: RIVALS + 1] if offsets[k] != fits[0].zero_s]
+    near = [*lows, *(peak - lag_s(x[2:6]) for peak in peaks[:RIVALS])]
+    begins: list[float] = []
+    for begin in near:  # not within 0.3 ms of another: each refinement moves freely by as much
+        if all(abs(begin - other) > 3e-4 for other in [*begins, *(fit.zero_s for fit in fits)]):
+            begins.append(begin)
+    fits += [refine(changes, light, begin, start, start[2:6], 12) for begin in begins]
+    best = min(fits, key=lambda fit: fit.cost).zero_s
+    fits = [
+        refine(changes, light, fit.begin_s, fit.x, fit.x[2:6], 30, 1e-6) if abs(fit.zero_s - best) < NEAR_S else fit
+        for fit in fits
+    ]
+    return fits, np.stack([offsets - min(fits, key=lambda fit: fit.cost).zero_s, losses])
+
+
+def _best_starts(changes: Changes, light: LogLight, peaks: np.ndarray) -> list[tuple[float, np.ndarray]]:
     """The best few (begin, parameters) of candidates × filters × shifts, thresholds by medians."""
     few = changes.select(slice(None, None, max(1, len(changes.time) // SCREENED)))
     on = few.sign > 0
@@ -159,25 +193,11 @@ def _typical(moved: np.ndarray) -> float:
     return float(np.median(moved)) if len(moved) else 0.2
 
 
-def scan_offsets(changes: Changes, light: LogLight, fit: Refined) -> tuple[np.ndarray, np.ndarray]:
-    """(begins, mean loss of the changes within the light) over all offsets with enough in it; elsewhere infinite."""
-    lasting = float(changes.time.max()), light.last_s - light.first_s
-    begins = fit.zero_s + np.arange(-SCANNED // 2, SCANNED // 2) * (2.0 * max(lasting) / SCANNED)
+def _scanned(changes: Changes, light: LogLight, fit: Refined) -> tuple[np.ndarray, np.ndarray]:
+    """(offsets, mean loss of the changes within the light), infinite where too few are in it."""
+    lasting = max(float(changes.time.max()), light.last_s - light.first_s)
+    offsets = fit.zero_s + np.arange(-SCANNED // 2, SCANNED // 2) * (2.0 * lasting / SCANNED)
     few = changes.select(slice(None, None, max(1, len(changes.time) // 800)))
-    loss, count = scan(few, light, light.filtered(fit.x[None, 2:6])[0], begins, fit.x)
+    loss, count = scan(few, light, light.filtered(fit.x[None, 2:6])[0], offsets, fit.x)
     enough = count >= max(LEAST_COMMON * count[SCANNED // 2], 20)
-    return begins, np.where(enough, loss / np.maximum(count, 1), np.inf)
-
-
-def lowest(begins: np.ndarray, losses: np.ndarray, best: float) -> list[float]:
-    lows, _ = find_peaks(-np.where(np.isfinite(losses), losses, 1.0))
-    return [float(begins[k]) for k in lows[np.argsort(losses[lows])][: RIVALS + 1] if begins[k] != best]
-
-
-def distinct(begins: Sequence[float], fits: Sequence[Refined]) -> list[float]:
-    """Those not within 0.3 ms of each other or of a refinement: each refinement moves freely by as much."""
-    kept: list[float] = []
-    for begin in begins:
-        if all(abs(begin - other) > 3e-4 for other in [*kept, *(fit.zero_s for fit in fits)]):
-            kept.append(begin)
-    return kept
+    return offsets, np.where(enough, loss / np.maximum(count, 1), np.inf)

@@ -44,7 +44,9 @@ def floats_to_ns(t: np.ndarray, unit: str, where: str) -> np.ndarray:
     Raises InputError for NaN and times beyond 64 bits.
     """
     if not np.isfinite(t).all():
-        raise InputError(f"{where}/t: expected finite times, event {int(np.argmin(np.isfinite(t)))} has none")
+        raise InputError(
+            f"{where}/t: expected finite times, event {int(np.argmin(np.isfinite(t)))} has none; leave such rows out"
+        )
     nanoseconds = t.astype(np.float64) * NS_PER_UNIT[unit]
     if len(t) and np.abs(nanoseconds).max() >= 9.2e18:
         found = f"{np.abs(t).max():g} {unit}"

@@ -90,15 +90,15 @@ def _arrays(path: Path) -> Arrays:
                 return
             if any(dtype.itemsize == 0 for _, dtype, _ in headers):
                 raise ValueError("expected numbers, found arrays of none")
-            rows = [(dtype, shape[1:]) for shape, dtype, _ in headers]
             length = headers[0][0][0]
             for k in range(0, length, PART_EVENTS):
                 count = min(PART_EVENTS, length - k)
-                data = [
-                    file.read(count * dtype.itemsize * int(np.prod(row)))
-                    for file, (dtype, row) in zip(files, rows, strict=True)
+                yield [
+                    np.frombuffer(file.read(count * dtype.itemsize * int(np.prod(shape[1:]))), dtype).reshape(
+                        count, *shape[1:]
+                    )
+                    for file, (shape, dtype, _) in zip(files, headers, strict=True)
                 ]
-                yield [np.frombuffer(d, dtype).reshape(count, *row) for d, (dtype, row) in zip(data, rows, strict=True)]
 
     return Arrays(kinds, pieces)
 

@@ -174,7 +174,10 @@ def _reader(path: Path, head: bytes) -> str:
         return "decoded"
     if head.startswith((b"\x1f\x8b", b"PK\3\4", b"BZh", b"\xfd7zXZ")):
         raise InputError(f"{path}: expected a recording, found a packed file; unpack it first")
-    raise InputError(f"{path}: expected a recording ({READABLE}), found {suffix or 'a file without extension'}")
+    raise InputError(
+        f"{path}: expected a recording ({READABLE}), found {suffix or 'a file without extension'}; "
+        "columns t, x, y, p of .csv or .npz are read"
+    )
 
 
 def _is_table(head: bytes) -> bool:

@@ -16,8 +16,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pixelid.recordings.alignment import GIVEN_SD_S, find_alignment, known_alignment
-from pixelid.recordings.alignment_from_events import LEAST_CHANGES, NEAR_S, EventAlignment, alignment_of
-from pixelid.recordings.alignment_search import is_too_long
+from pixelid.recordings.alignment_from_events import LEAST_CHANGES, EventAlignment, alignment_of
+from pixelid.recordings.alignment_search import NEAR_S, is_too_long
 from pixelid.recordings.clocks import Alignment
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.session_cases import Case, SharedRate, cases_of, is_constant, shared_rate
@@ -26,8 +26,8 @@ from pixelid.stimuli.pixel_lights import Light
 
 CONTRADICTED = 4.0  # standard errors: 6e-5 of a true statement, so that a session of a dozen has few false doubts
 COVERS = 0.98  # share of the changes within a light that covers the events
-WIDEST_S = 0.02  # equal offsets within this are one, known as badly: what a fit may move (likelihood/clocks.py)
 DRAWN_S = 0.05  # of the evidence, on either side
+WIDEST_S = 0.02  # equal offsets within this are one, known as badly: what a fit may move (likelihood/clocks.py)
 
 
 @dataclass(frozen=True)
@@ -46,14 +46,6 @@ class BenchDoubt:
 
 
 @dataclass(frozen=True)
-class OffsetEvidence:
-    """Mean loss of the events' changes by offset: lags_s (k,) from the offset chosen, loss (k,)."""
-
-    lags_s: np.ndarray
-    loss: np.ndarray
-
-
-@dataclass(frozen=True)
 class RecordingAlignment:
     """How one recording of a session is aligned.
 
@@ -61,6 +53,7 @@ class RecordingAlignment:
     method: "trigger", "auto", "given", "first-event", "inherited" (the rate, and placed under the light) or "none"
     offset_s, interval_95: the light's first sample on the camera's clock
     clock_rate_error, clock_rate_interval_95: see `Alignment`
+    evidence: (2, k) lags (s) from the offset chosen, and mean loss of the events' changes there
     light: name of the recording whose light it follows;  polarity: −1 where ON and OFF are exchanged
     """
 
@@ -71,7 +64,7 @@ class RecordingAlignment:
     interval_95: tuple[float, float] | None
     clock_rate_error: float
     clock_rate_interval_95: tuple[float, float]
-    evidence: OffsetEvidence | None
+    evidence: np.ndarray | None
     sentence: str
     light: str
     polarity: int = 1
@@ -268,12 +261,11 @@ def _result(
     )
 
 
-def _evidence(case: Case, alignment: Alignment | None) -> OffsetEvidence | None:
+def _evidence(case: Case, alignment: Alignment | None) -> np.ndarray | None:
     if case.events is None:
         return None
     lags, loss = case.events.profile
     if alignment is not None:  # as it differs at the events' middle
         apart = alignment.offset_s - case.events.offset_s
         lags = lags - apart - (alignment.rate_error - case.events.rate_error) * case.events.middle_s
-    drawn = (np.abs(lags) <= DRAWN_S) & np.isfinite(loss)
-    return OffsetEvidence(lags[drawn], loss[drawn])
+    return np.stack([lags, loss])[:, (np.abs(lags) <= DRAWN_S) & np.isfinite(loss)]

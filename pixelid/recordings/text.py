@@ -37,6 +37,7 @@ from pixelid.time_units import UNIT_OF, plain, unit_in
 LINES_AT_ONCE, LINES_READ = 1 << 19, 1 << 12
 SIZE = re.compile(r"(?:geometry|size|resolution|sensor)\W+(\d{1,5})\s*[x×, ;]\s*(\d{1,5})", re.I)
 SIDES = re.compile(r"\b(?:(width)|(height)|(W)|(H))\W{1,3}(\d{1,5})\b", re.I)
+NO_ROW = re.compile(r"\s*(?:[#%]|//|(?:nan|[\s,;])*$)", re.I)  # a comment, or no number
 BRACKETS = str.maketrans("[]()", "    ")  # of rows that are written as Python shows them
 
 
@@ -47,6 +48,7 @@ class _Header:
     meta: dict[str, Any] = field(default_factory=dict)
     light: dict[str, np.ndarray] | None = None
     names: list[str] | None = None
+    title: str = ""
     unit: str | None = None
     chip: tuple[tuple[tuple[int, int], str], ...] = ()
     size: tuple[int | None, int | None] = (None, None)
@@ -110,6 +112,7 @@ def _header(path: Path) -> _Header:
                 cells, mark = cells_of(text.translate(BRACKETS).strip() if text[0] in "[(" else text)
                 numbers = sum(NUMBER.fullmatch(cell) is not None for cell in cells)
                 if not numbers or (header.names is not None and any(_units(cells))):
+                    header.title = header.title or text  # comes again where files are joined
                     _note_names(header, cells if cells[-1] else cells[:-1])
                 elif len(cells) < len("txyp") and not NUMBER.fullmatch(cells[0]):  # width: 640
                     _note(header, text)
@@ -187,7 +190,8 @@ def _frames(path: Path, header: _Header, where: str, rows: int) -> Iterator[list
     done = 0
     try:
         with path.open(encoding=header.encoding) as file:
-            lines = (line for line in islice(file, header.lines, None) if not line.lstrip().startswith(COMMENTS))
+            lines = (line for line in islice(file, header.lines, None) if not NO_ROW.match(line))
+            lines = (line for line in lines if line.strip() != header.title)
             if header.first[0] in "[(":
                 lines = (line.translate(BRACKETS).strip() + "\n" for line in lines)
             source: Any = _Lines(lines)
