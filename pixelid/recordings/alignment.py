@@ -54,19 +54,12 @@ def find_alignment(recording: Recording, light: Light, how: str, *, one_clock: b
     alignment = _find(recording, light, how)
     if one_clock and alignment.prior is not None:
         prior = replace(alignment.prior, rate_mean=0.0, rate_sd=ONE_CLOCK)
-        start = alignment.offset_s + (1.0 + alignment.rate_error) * prior.at_s
-        offset, half = start - prior.at_s, Z95 * ONE_CLOCK
+        later, half = alignment.rate_error * prior.at_s, Z95 * ONE_CLOCK
         interval = alignment.offset_interval_95
-        moved = None if interval is None else (interval[0] + offset - alignment.offset_s,
-                                               interval[1] + offset - alignment.offset_s)  # fmt: skip
         alignment = replace(
-            alignment,
-            offset_s=offset,
-            rate_error=0.0,
-            rate_interval_95=(-half, half),
-            offset_interval_95=moved,
-            prior=prior,
-        )
+            alignment, prior=prior, offset_s=alignment.offset_s + later, rate_error=0.0, rate_interval_95=(-half, half),
+            offset_interval_95=None if interval is None else (interval[0] + later, interval[1] + later),
+        )  # fmt: skip
     return replace(alignment, start_s=alignment.offset_s + (1.0 + alignment.rate_error) * light.start_s)
 
 

@@ -118,7 +118,6 @@ class Refined:
     x: np.ndarray
     residuals: np.ndarray
     jacobian: np.ndarray
-    loss: np.ndarray
 
     @property
     def zero_s(self) -> float:
@@ -128,7 +127,7 @@ class Refined:
     @property
     def cost(self) -> float:
         """Mean loss of a change."""
-        return float(self.loss.mean())
+        return float(soft_loss(self.residuals).mean())
 
 
 def soft_loss(residuals: np.ndarray) -> np.ndarray:
@@ -178,7 +177,7 @@ def refine(
             break
     count = len(changes.time)
     r, jacobian = problem.residuals(x)[:count], problem.jacobian(x)[:count]
-    return Refined(begin_s, x, r, jacobian, soft_loss(r))
+    return Refined(begin_s, x, r, jacobian)
 
 
 def _step(gradient: np.ndarray, curvature: np.ndarray, damping: float) -> np.ndarray:

@@ -90,12 +90,6 @@ def _chosen(present: np.ndarray, pixels: int, seed: int, size: int) -> np.ndarra
     return present[np.argsort(place)[:pixels]]
 
 
-def _light_until(recording: Recording, span: tuple[int, int] | None) -> Light | None:
-    """The light up to the end of the span: what was before the span stays, the pixel remembers it."""
-    light = recording.stimulus
-    return light if light is None or span is None else light.until(span[1] * 1e-9)
-
-
 def _restricted(light: Light | None, events: Events, pixels: np.ndarray) -> Light | None:
     """Light of each pixel's own for some pixels of the sensor only, in groups; full-field light as it is."""
     if light is None or light.size != (events.width, events.height):
@@ -178,7 +172,9 @@ def _cropped(long: LongRecording, crop: Crop, hot: np.ndarray, seed: int) -> Lon
     span = _nanoseconds(crop.time_s, since)
     _inside(head.events, roi, span, None)  # refuses what cannot be
     size = head.events.width * head.events.height
-    light, kept = _light_until(head, span), _kept(head, roi, span, hot)
+    light, kept = head.stimulus, _kept(head, roi, span, hot)
+    if light is not None and span is not None:  # what was before the span stays, the pixel remembers it
+        light = light.until(span[1] * 1e-9)
     own = light is not None and light.size == (head.events.width, head.events.height)
     chosen: np.ndarray | None = None
     if crop.pixels is not None or (roi is not None and own):

@@ -1,4 +1,4 @@
-"""Camera makers' files: AEDAT4 and ES by the library faery, Prophesee's by `evt` and `dat`."""
+"""Camera makers' files: AEDAT4 and ES by the library faery, Prophesee's by `evt`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import TypeVar
 import numpy as np
 
 from pixelid.errors import InputError, first_line
-from pixelid.recordings import dat, evt
+from pixelid.recordings import evt
 from pixelid.recordings.bias_files import biases_beside
 from pixelid.recordings.columns import PART_EVENTS, to_nanoseconds
 from pixelid.recordings.events import Events
@@ -55,7 +55,7 @@ def opened(path: Path, options: ReadingOptions) -> RawEvents:
     if kind == "evt":
         return replace(raw, blocks=lambda: _evt(path, header, start), size=size, likely_sizes=likely)
     if kind == "dat" and header.get("Version") == "2":
-        return replace(raw, blocks=lambda: dat.decode(path, start), size=size, likely_sizes=likely)
+        return replace(raw, blocks=lambda: evt.decode_dat(path, start), size=size, likely_sizes=likely)
     wide, high = size
     return _others(path, kind, raw, None if wide is None or high is None else (wide, high))
 

@@ -1,5 +1,5 @@
 """Prophesee's EVT 2.0, 2.1 and 3.0: little-endian words of 32, 64 and 16 bits (docs.prophesee.ai, "Data Encoding
-Formats").
+Formats"); and DAT.
 
 EVT 2.0, from the highest bit: type (4), then for events (0 OFF, 1 ON) the low 6 bits of the time [µs], column (11) and
 row (11).  Type 8 carries the high 28 bits of the time; type 10 an edge at a trigger input: low 6 bits of the time,
@@ -29,6 +29,7 @@ import numpy as np
 from numba import njit
 
 from pixelid.errors import InputError
+from pixelid.recordings.columns import Rollovers, word_pairs
 from pixelid.recordings.raw import Block
 from pixelid.recordings.triggers import Triggers
 
@@ -36,6 +37,7 @@ WORDS_AT_ONCE = 1 << 18  # up to 32 events each
 UNKNOWN = -1
 STATE = 6  # high part with rollovers, low part, row, first column of vectors, their polarity, rollovers
 TIME_HIGH = 8  # type of words
+DAT_KINDS = (0x00, 0x0C)  # of events of pixels
 
 
 def decode(file: BinaryIO, version: str, named: Path, swapped: bool | None = None) -> Iterator[Block]:
@@ -79,6 +81,30 @@ def decode(file: BinaryIO, version: str, named: Path, swapped: bool | None = Non
         yield Block.of((column[:events].copy() for column in (t, x, y, p)), found)
     if seen and not known:
         raise InputError(f"{named}: expected words of EVT {version}, found none in {seen}")
+
+
+def decode_dat(path: Path, start: int) -> Iterator[Block]:
+    """Blocks of a DAT file of version 2: 8 bytes per event after a byte each for the kind of event and its size.
+
+    Time [µs], which rolls over after 71 minutes, then from the lowest bit column (14), row (14) and polarity (4)
+    (docs.prophesee.ai, "DAT File Format").
+
+    Args:
+        path: the file.
+        start: byte after the header's lines.
+
+    Raises:
+        InputError: other kinds of events, or a file that ends within one.
+    """
+    with path.open("rb") as file:
+        file.seek(start)
+        kind = file.read(2)
+    if len(kind) < 2 or kind[0] not in DAT_KINDS or kind[1] != 8:
+        raise InputError(f"{path}: expected events of 8 bytes, kind 12, after the header, found {list(kind)}")
+    clock = Rollovers(1 << 32)
+    for words in word_pairs(path, start + 2, "<u4"):
+        address = words[:, 1]
+        yield Block(clock.undone(words[:, 0]), address & 0x3FFF, address >> 14 & 0x3FFF, address >> 28)
 
 
 def _times(words: np.ndarray) -> int:

@@ -155,14 +155,15 @@ class _Child:
     def answers(self, request: dict[str, Any], path: Path) -> Iterator[Answer]:
         """The answers to a request about a file, one by one."""
         path, size = _regular(path)
-        limits = {"cpu_s": _cpu_s(size), "bytes": MEMORY_BYTES + MEMORY_PER_BYTE * size}
+        cpu_s = CPU_S + CPU_S_PER_BYTE * size
+        limits = {"cpu_s": cpu_s, "bytes": MEMORY_BYTES + MEMORY_PER_BYTE * size}
         self.start()
-        answer = self._answer(path, size, json.dumps({**request, "path": str(path), **limits}).encode() + b"\n")
+        answer = self._answer(path, cpu_s, json.dumps({**request, "path": str(path), **limits}).encode() + b"\n")
         while answer is not None:
             yield answer
-            answer = self._answer(path, size)
+            answer = self._answer(path, cpu_s)
 
-    def _answer(self, path: Path, size: int, request: bytes = b"") -> Answer | None:
+    def _answer(self, path: Path, cpu_s: float, request: bytes = b"") -> Answer | None:
         """The next answer; None where there is no more."""
         process = self._process
         assert process is not None and process.stdin is not None and process.stdout is not None  # noqa: PT018
@@ -176,7 +177,7 @@ class _Child:
             code = process.wait()
             self._process = None
             why = {
-                -signal.SIGPROF: f"took more than {_cpu_s(size):.0f} s",
+                -signal.SIGPROF: f"took more than {cpu_s:.0f} s",
                 -signal.SIGKILL: "hung, or took too much memory",
             }.get(code, "made the decoder crash")
             raise InputError(f"{path}: damaged: reading it {why}") from None
@@ -199,10 +200,6 @@ class _Child:
 
 _CHILD = _Child()
 atexit.register(_CHILD.stop)
-
-
-def _cpu_s(size: int) -> float:
-    return CPU_S + CPU_S_PER_BYTE * size
 
 
 def _end_idle(process: subprocess.Popen, answered: threading.Event) -> None:

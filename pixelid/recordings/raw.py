@@ -109,6 +109,8 @@ def interpreted(raw: RawEvents, options: ReadingOptions) -> tuple[Recording, Ite
         notes.append("addresses counted from one")
     elif statistics.least == (1, 1) and raw.size == (None, None) and not options.size:
         notes.append(f"addresses begin at 1: if they count from one, state it: {OPTION['size']}")
+    if unit is not None and unit not in NS_PER_UNIT:
+        raise InputError(f"{raw.where}/t: expected unit {' or '.join(NS_PER_UNIT)}, found {unit!r}")
     if unit is None:
         unit, why = infer_unit(statistics, raw.where)
         inferred |= {"time_unit": (unit, why)} if statistics.events else {}
@@ -125,7 +127,7 @@ def interpreted(raw: RawEvents, options: ReadingOptions) -> tuple[Recording, Ite
     attributes = source.kept_in(raw.head.attributes)
     settled = _Settled(raw, unit, (int(size[0] or 1), int(size[1] or 1)), code, first)
     counted = not statistics.floating or ("time_unit" in inferred and statistics.whole)
-    tick_ns = raw.tick_ns or (NS_PER_UNIT.get(unit, 1) if counted else 1)
+    tick_ns = raw.tick_ns or (NS_PER_UNIT[unit] if counted else 1)
     exposures = None
     if raw.exposures is not None:
         exposures = joined(*interpreted(raw.exposures, replace(options, size=settled.size, clock=None))).events

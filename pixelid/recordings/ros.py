@@ -35,7 +35,7 @@ from pixelid.recordings.source import ReadingOptions
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
 
-RECORDS = ("dvs_msgs", "prophesee_event_msgs")
+RECORDS = ("dvs_msgs/msg/EventArray", "prophesee_event_msgs/msg/EventArray")
 PACKETS = "event_camera_msgs/msg/EventPacket"
 ROS1_RECORD = np.dtype([("x", "<u2"), ("y", "<u2"), ("s", "<u4"), ("ns", "<u4"), ("p", "u1")])
 # CDR: two bytes after a multiple of four; only the first record begins on one, and lacks the two before its time
@@ -51,10 +51,10 @@ def opened(path: Path, options: ReadingOptions) -> RawEvents:
         InputError: for a damaged bag, one without events, and encodings that are not read.
     """
     with opened_bag(path) as bag:
-        topics = [c for c in bag.connections if c.msgtype == PACKETS or c.msgtype in record_types()]
+        topics = [c for c in bag.connections if c.msgtype == PACKETS or c.msgtype in RECORDS]
         if not topics:
             found = ", ".join(sorted({c.msgtype for c in bag.connections})) or "nothing"
-            raise InputError(f"{path}: expected a topic of events ({PACKETS}, {record_types()[0]}), found {found}")
+            raise InputError(f"{path}: expected a topic of events ({PACKETS}, {RECORDS[0]}), found {found}")
         every = list(dict.fromkeys(c.topic for c in topics))
         filled = list(dict.fromkeys(c.topic for c in topics if c.msgcount))
         if len(filled) > 1 and options.stream is None:
@@ -94,11 +94,6 @@ def opened_bag(path: Path) -> Iterator[AnyReader]:
     except (AnyReaderError, Ros1Error, Ros2Error, OSError, ValueError, KeyError, IndexError, AssertionError) as error:
         reason = first_line(error)[:120]
         raise InputError(f"{path}: expected a ROS bag, found a damaged or different file ({reason})") from None
-
-
-def record_types() -> tuple[str, ...]:
-    """The message types whose events are records."""
-    return tuple(f"{package}/msg/EventArray" for package in RECORDS)
 
 
 class _Message:
@@ -216,7 +211,8 @@ def record_columns(data: bytes, cdr: bool, path: Path) -> tuple[tuple[int, int],
     """((width, height), columns (t ns, x, y, p)) of an `EventArray` message."""
     message = _Message(data, cdr, path)
     size, count = _record_head(message)
-    events = (_cdr_records if cdr else _ros1_records)(message, count)
+    packed = not cdr and message.rest(count * ROS1_RECORD.itemsize)
+    events = _cdr_records(message, count) if cdr else np.frombuffer(packed or b"", ROS1_RECORD)
     return size, (events["s"].astype(np.int64) * 1_000_000_000 + events["ns"], events["x"], events["y"], events["p"])
 
 
@@ -225,10 +221,6 @@ def _record_head(message: _Message) -> tuple[tuple[int, int], int]:
     message.skip_header()
     height, width, count = message.number(4), message.number(4), message.number(4)
     return (width, height), count
-
-
-def _ros1_records(message: _Message, count: int) -> np.ndarray:
-    return np.frombuffer(message.rest(count * ROS1_RECORD.itemsize), ROS1_RECORD)
 
 
 def _cdr_records(message: _Message, count: int) -> np.ndarray:

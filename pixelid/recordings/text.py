@@ -25,7 +25,7 @@ import numpy as np
 from pixelid.delimited import COMMENTS, DECIMAL_COMMA, HEAD_BYTES, NUMBER, SPACES, cells_of, encoding_of
 from pixelid.errors import InputError, first_line, shown
 from pixelid.recordings import metadata
-from pixelid.recordings.events import NS_PER_UNIT, Events
+from pixelid.recordings.events import Events
 from pixelid.recordings.parts import LongRecording, as_long
 from pixelid.recordings.raw import Block, RawEvents
 from pixelid.recordings.recording import Recording
@@ -67,8 +67,6 @@ def opened(path: Path, options: ReadingOptions) -> RawEvents:
         sample = next(_frames(path, header, where, ROWS), None)
     order, unit, inferred = _order(sample, header, options, where)
     unit = unit or header.meta.get("unit") or header.unit
-    if unit is not None and unit not in NS_PER_UNIT:
-        raise InputError(f"{where}/t: expected unit {' or '.join(NS_PER_UNIT)}, found {unit!r}")
     floating = sample is not None and sample[order[0]].dtype.kind == "f"
     tick_ns = header.meta.get("tick_ns") or (1 if unit is not None and floating else None)
 
