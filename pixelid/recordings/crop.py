@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,7 +13,7 @@ from pixelid.recordings.events import Events
 from pixelid.recordings.kept import ATTRIBUTE, Kept, kept_of
 from pixelid.recordings.parts import Either, LongRecording, Totals, as_long, like
 from pixelid.recordings.recording import Recording
-from pixelid.stimuli.pixel_lights import Light, pixel_lights
+from pixelid.stimuli.pixel_lights import pixel_lights
 
 
 def _nanoseconds(time_s: tuple[float, float] | None, since_ns: int) -> tuple[int, int] | None:
@@ -73,12 +73,6 @@ def _kept(recording: Recording, roi, span: tuple[int, int] | None, without: np.n
     return kept
 
 
-def _left(parts: Iterable[Events], roi, without: np.ndarray | None) -> int:
-    """How many pixels of a region have events at any time; of pixels that were chosen, all have."""
-    seen = [np.unique(events.pixel[_inside(events, roi, None, without)]) for events in parts]
-    return len(np.unique(np.concatenate(seen))) if seen else 0
-
-
 def _chosen(present: np.ndarray, pixels: int, seed: int, size: int) -> np.ndarray:
     """As many of the pixels that are `present` as asked, at random: the first in an order of all `size` of the sensor.
 
@@ -88,14 +82,6 @@ def _chosen(present: np.ndarray, pixels: int, seed: int, size: int) -> np.ndarra
         raise InputError(f"--pixels: expected a positive number, found {pixels}")
     place = np.random.default_rng(seed).permutation(size)[present]
     return present[np.argsort(place)[:pixels]]
-
-
-def _restricted(light: Light | None, events: Events, pixels: np.ndarray) -> Light | None:
-    """Light of each pixel's own for some pixels of the sensor only, in groups; full-field light as it is."""
-    if light is None or light.size != (events.width, events.height):
-        return light
-    grouped = pixel_lights(light, pixels)
-    return light if grouped is None else grouped.restricted(pixels)
 
 
 def _nothing_left(name: str, totals: Totals) -> InputError:
@@ -189,9 +175,12 @@ def _cropped(long: LongRecording, crop: Crop, hot: np.ndarray, seed: int) -> Lon
             chosen = np.zeros(size, bool)
             chosen[_chosen(np.flatnonzero(seen), crop.pixels, seed, size)] = True
             kept = replace(kept, pixels=int(chosen.sum()))
-        light = _restricted(light, head.events, np.flatnonzero(chosen))
-    if kept.pixels is not None and crop.pixels is None:
-        kept = replace(kept, pixels=_left((part.events for part in long.read()), roi, hot))
+        left = np.flatnonzero(chosen)
+        if light is not None and own and (grouped := pixel_lights(light, left)) is not None:
+            light = grouped.restricted(left)
+    if kept.pixels is not None and crop.pixels is None:  # of pixels that were chosen, all have events at some time
+        fired = [np.unique(part.events.pixel[_inside(part.events, roi, None, hot)]) for part in long.read()]
+        kept = replace(kept, pixels=len(np.unique(np.concatenate(fired))) if fired else 0)
     noted = {**head.attributes, ATTRIBUTE: kept.as_dict()}
 
     def cropped() -> Iterator[Recording]:

@@ -45,13 +45,10 @@ def write(recording: Recording | LongRecording, path: Path) -> None:
             group.append(part.events)
             edges.append(part.triggers)
             repeats += 0 if head.pooled else counter.add(part.events)
-        group.finish()
         if repeats:
             group.group.attrs["duplicates"] = repeats
         if head.exposures is not None:
-            exposures = _EventGroup(file, "exposures", head.exposures)
-            exposures.append(head.exposures)
-            exposures.finish()
+            _EventGroup(file, "exposures", head.exposures).append(head.exposures)
         stated, columns = taken_apart(replace(head, exposures=None, triggers=Triggers.joined([head.triggers, *edges])))
         for name, column in columns.items():
             if not name.startswith("events/"):
@@ -82,8 +79,6 @@ class _EventGroup:
             if len(column):
                 dataset[self.begin : end] = column // 1000 if letter == "t" and self.in_us else column
         self.begin = end
-
-    def finish(self) -> None:
         self.group["t"].attrs["unit"] = "us" if self.in_us else "ns"
 
     def _count_in_ns(self) -> None:

@@ -68,21 +68,18 @@ class Stream:
                 yield Block.of(piece[0][k] if self.across else piece[0][:, k] for k in self.fields)
 
 
-def chosen_stream(
-    arrays: Arrays, options: ReadingOptions, where: str, without: Sequence[str] = ()
-) -> tuple[Stream, tuple[str, ...]]:
+def chosen_stream(arrays: Arrays, options: ReadingOptions, where: str) -> tuple[Stream, tuple[str, ...]]:
     """The stream of events of a file that is stated, or the only one that has any; and the names of all.
 
     Args:
         arrays: of the file.
         options: what the user states.
         where: names the file in errors.
-        without: streams that hold something else.
 
     Raises:
         InputError: there is none, or one must be stated.
     """
-    streams = [stream for stream in _streams(arrays, options, where) if stream.name not in without]
+    streams = _streams(arrays, options, where)
     names = tuple(stream.name for stream in streams)
     if not streams:
         raise InputError(

@@ -44,11 +44,9 @@ def opened(path: Path, options: ReadingOptions) -> RawEvents:
     unit = meta.get("unit") or stream.unit or stated_unit(small, (), where)
     size, likely = stated_size([meta, small], where)
     light = {name[len(PREFIX) :]: value for name, value in values.items() if name.startswith(PREFIX)} or None
-    floating = arrays.kinds[stream.paths[0]][0].kind == "f"
-    tick_ns = meta.get("tick_ns") or (1 if unit is not None and floating else None)
     head = metadata.assemble(meta, Events.empty(1, 1), light, path, str(path))
     return RawEvents(
-        head, lambda: stream.blocks(arrays), where, unit, tick_ns, size=size, likely_sizes=likely,
+        head, lambda: stream.blocks(arrays), where, unit, meta.get("tick_ns"), size=size, likely_sizes=likely,
         polarity="01" if meta else None, inferred=stream.inferred, streams=streams,
     )  # fmt: skip
 

@@ -56,16 +56,6 @@ class LongRecording:
         """The same events with another stimulus."""
         return self.map(lambda part: part.with_stimulus(stimulus))
 
-    def watched(self, look: Callable[[Recording], object]) -> LongRecording:
-        """The same, with `look` called on every part as it is read."""
-
-        def read() -> Iterator[Recording]:
-            for part in self.read():
-                look(part)
-                yield part
-
-        return LongRecording(self.head, read)
-
     def map(self, function: Callable[[Recording], Recording]) -> LongRecording:
         """The recording whose head and parts are what `function` makes of them."""
         return LongRecording(function(self.head), lambda: map(function, self.read()))

@@ -118,14 +118,13 @@ def interpreted(raw: RawEvents, options: ReadingOptions) -> tuple[Recording, Ite
         code = infer_polarity(statistics.codes, raw.where)
         if code == "pm1":
             inferred["polarity"] = (code, ": −1 is OFF")
-    stretch: tuple[int, int] | None = None
+    settled = _Settled(raw, unit, (int(size[0] or 1), int(size[1] or 1)), code, first)
+    stretch, sorts = None, bool(clock == "sort" and statistics.fall_count)
     if clock.startswith("split") and statistics.fall_count:
         stretch, inferred["clock"] = _stretch(statistics, clock, raw.where)
-    elif clock == "sort" and statistics.fall_count:
+    if sorts:
         notes.append(f"sorted by time: {statistics.fall_count} events were earlier than the one before")
-    source = Source(stated, inferred, tuple(notes), raw.streams)
-    attributes = source.kept_in(raw.head.attributes)
-    settled = _Settled(raw, unit, (int(size[0] or 1), int(size[1] or 1)), code, first)
+    attributes = Source(stated, inferred, tuple(notes), raw.streams).kept_in(raw.head.attributes)
     counted = not statistics.floating or ("time_unit" in inferred and statistics.whole)
     tick_ns = raw.tick_ns or (NS_PER_UNIT[unit] if counted else 1)
     exposures = None
@@ -137,10 +136,7 @@ def interpreted(raw: RawEvents, options: ReadingOptions) -> tuple[Recording, Ite
         attributes=attributes,
         exposures=exposures,
     )
-    if clock == "sort" and statistics.fall_count:
-        columns = _sorted(settled, blocks)
-    else:
-        columns = _of_stretch(settled, blocks, stretch)
+    columns = _sorted(settled, blocks) if sorts else _of_stretch(settled, blocks, stretch)
     return replace(head, triggers=None), _parts(head, columns, raw)
 
 

@@ -211,8 +211,8 @@ def record_columns(data: bytes, cdr: bool, path: Path) -> tuple[tuple[int, int],
     """((width, height), columns (t ns, x, y, p)) of an `EventArray` message."""
     message = _Message(data, cdr, path)
     size, count = _record_head(message)
-    packed = not cdr and message.rest(count * ROS1_RECORD.itemsize)
-    events = _cdr_records(message, count) if cdr else np.frombuffer(packed or b"", ROS1_RECORD)
+    packed = count * ROS1_RECORD.itemsize
+    events = _cdr_records(message, count) if cdr else np.frombuffer(message.rest(packed), ROS1_RECORD)
     return size, (events["s"].astype(np.int64) * 1_000_000_000 + events["ns"], events["x"], events["y"], events["p"])
 
 

@@ -67,8 +67,6 @@ def opened(path: Path, options: ReadingOptions) -> RawEvents:
         sample = next(_frames(path, header, where, ROWS), None)
     order, unit, inferred = _order(sample, header, options, where)
     unit = unit or header.meta.get("unit") or header.unit
-    floating = sample is not None and sample[order[0]].dtype.kind == "f"
-    tick_ns = header.meta.get("tick_ns") or (1 if unit is not None and floating else None)
 
     def blocks() -> Iterator[Block]:
         with _text(path):
@@ -76,8 +74,8 @@ def opened(path: Path, options: ReadingOptions) -> RawEvents:
                 yield Block.of(columns[k] for k in order)
 
     head = metadata.assemble(header.meta, Events.empty(1, 1), header.light, path, str(path))
-    return RawEvents(head, blocks, where, unit, tick_ns, size=header.size, likely_sizes=header.chip, inferred=inferred,
-                     polarity="01" if header.meta else None)  # fmt: skip
+    return RawEvents(head, blocks, where, unit, header.meta.get("tick_ns"), size=header.size, likely_sizes=header.chip,
+                     inferred=inferred, polarity="01" if header.meta else None)  # fmt: skip
 
 
 @contextmanager
