@@ -198,7 +198,7 @@ def _with_light(recording: Recording, light: Light, alignment: Alignment, outsid
         told["prior"] = asdict(replace(alignment.prior, at_s=at_s, span_s=rate * alignment.prior.span_s))
     attributes = {**recording.attributes, "alignment": told}
     if ATTRIBUTE in attributes:
-        attributes[ATTRIBUTE] = kept_of(recording).shifted(zero_ns * 1e-9).as_dict()
+        attributes[ATTRIBUTE] = asdict(kept_of(recording).shifted(zero_ns * 1e-9))
     return replace(recording, stimulus=light.shifted(offset_s, rate), attributes=attributes)
 
 

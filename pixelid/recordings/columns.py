@@ -49,8 +49,13 @@ def floats_to_ns(t: np.ndarray, unit: str, where: str) -> np.ndarray:
     if len(t) and np.abs(nanoseconds).max() >= 9.2e18:
         found = f"{np.abs(t).max():g} {unit}"
         raise InputError(f"{where}/t: expected times that fit 64 bits in nanoseconds, found {found}")
-    last = 10 ** math.ceil(math.log10(max(1.0, np.spacing(np.abs(nanoseconds).max(initial=0.0)))))
+    last = last_decimal_ns(float(np.spacing(np.abs(t).max(initial=0))), unit)
     return np.rint(nanoseconds / last).astype(np.int64) * last
+
+
+def last_decimal_ns(spacing: float, unit: str) -> int:
+    """The least power of ten, in ns, that floating times so far apart can carry."""
+    return 10 ** math.ceil(math.log10(max(1.0, spacing * NS_PER_UNIT[unit])))
 
 
 def word_pairs(path: Path, start: int, kind: str) -> Iterator[np.ndarray]:

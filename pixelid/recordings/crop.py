@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
@@ -181,7 +181,7 @@ def _cropped(long: LongRecording, crop: Crop, hot: np.ndarray, seed: int) -> Lon
     if kept.pixels is not None and crop.pixels is None:  # of pixels that were chosen, all have events at some time
         fired = [np.unique(part.events.pixel[_inside(part.events, roi, None, hot)]) for part in long.read()]
         kept = replace(kept, pixels=len(np.unique(np.concatenate(fired))) if fired else 0)
-    noted = {**head.attributes, ATTRIBUTE: kept.as_dict()}
+    noted = {**head.attributes, ATTRIBUTE: asdict(kept)}
 
     def cropped() -> Iterator[Recording]:
         totals, left = Totals(), 0

@@ -5,16 +5,16 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
-from itertools import islice
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 
-from pixelid.errors import InputError, first_line
+from pixelid.errors import InputError
 from pixelid.recordings import evt
 from pixelid.recordings.bias_files import biases_beside
 from pixelid.recordings.columns import PART_EVENTS, to_nanoseconds
+from pixelid.recordings.damage import refusing
 from pixelid.recordings.events import Events
 from pixelid.recordings.raw import Block, RawEvents
 from pixelid.recordings.recording import Recording
@@ -70,7 +70,9 @@ def _evt(path: Path, header: dict[str, str], start: int) -> Iterator[Block]:
     found = header.get("evt", "") or stated.upper()
     version = VERSIONS.get(found.removeprefix("EVT").replace(".", ""))
     if version is None:
-        raise InputError(f"{path}: expected EVT 2.0, 2.1 or 3.0 in the header, found {found[:40] or 'none'}")
+        raise InputError(
+            f"{path}: expected EVT 2.0, 2.1 or 3.0 in the header, found {found[:40] or 'none'}; add a line: % evt 3.0"
+        )
     order = next((word.partition("=")[2] for word in more if word.startswith("endianness=")), "")
     with path.open("rb") as file:
         file.seek(start)
@@ -89,19 +91,15 @@ def _aedat(path: Path, raw: RawEvents, options: ReadingOptions) -> RawEvents:
                     yield track, packet
 
     tracks: list = []
-    for _ in islice(checked_packets(lambda: packets(("events",), tracks), path), 1):
-        pass
+    next(checked_packets(lambda: packets(("events",), tracks), path), None)
     streams = {str(track.id): track for track in tracks if track.data_type == "events"}
     if not streams:
         raise InputError(f"{path}: expected a stream of events, found {', '.join(t.data_type for t in tracks)}")
+    filled = set(list(streams)[:1])
     if options.stream is None and len(streams) > 1:
-        counts = dict.fromkeys(streams, 0)
-        for track, packet in checked_packets(lambda: packets(("events",), []), path):
-            counts[str(track.id)] += len(packet)
-        found = {name: count for name, count in counts.items() if count}
-    else:
-        found = dict.fromkeys(list(streams)[:1], 1)
-    name = chosen_name(list(found), list(streams), options, str(path))
+        every = checked_packets(lambda: packets(("events",), []), path)
+        filled = {str(track.id) for track, packet in every if len(packet)}
+    name = chosen_name([name for name in streams if name in filled], list(streams), options, str(path))
 
     def blocks() -> Iterator[Block]:
         def mine(entry: tuple):
@@ -145,15 +143,8 @@ def _others(path: Path, kind, raw: RawEvents, size: tuple[int, int] | None) -> R
 
 def checked_packets(packets: Callable[[], Iterator], path: Path) -> Iterator:
     """What `packets` yields; whatever the decoder raises becomes an InputError."""
-    try:
+    with refusing(path, "cannot be decoded; truncated, or not the format of its extension", Exception):
         yield from packets()
-    except InputError:
-        raise
-    except (Exception, SystemError) as error:
-        reason = first_line(error)[:120]
-        raise InputError(
-            f"{path}: cannot be decoded; truncated, or not the format of its extension ({reason})"
-        ) from None
 
 
 def _batches(packets: Iterable[Packet], events_of: Callable[[Packet], np.ndarray | None]) -> Iterator[list[Packet]]:

@@ -26,9 +26,10 @@ from typing import Any
 
 import numpy as np
 
-from pixelid.errors import InputError, first_line, shown
+from pixelid.errors import InputError, shown
 from pixelid.recordings.bias_files import biases_beside
 from pixelid.recordings.columns import to_nanoseconds
+from pixelid.recordings.damage import refusing
 from pixelid.recordings.events import Events
 from pixelid.recordings.layouts import Arrays, Stream, chosen_stream
 from pixelid.recordings.metadata import FORMAT, MOST_SIZE, MOST_TICK_NS, VERSION, assemble, whole, yes_or_no
@@ -39,6 +40,7 @@ from pixelid.recordings.statements import stated_size, stated_unit
 from pixelid.recordings.triggers import COLUMNS, Triggers
 
 PIECE, WHOLE = 1 << 20, 1 << 22  # events taken at once; a compressed piece of more is taken once, with all others
+DAMAGED = "truncated or damaged HDF5"
 MOST_OBJECTS = 1000  # groups of a file
 SMALL_BYTES, MOST_RATIO = 1 << 26, 2000  # deflate compresses a thousandfold at most
 EDGES = ("t", "p", "id")  # of a record of Prophesee's trigger edges
@@ -57,21 +59,13 @@ def opened(path: Path, options: ReadingOptions) -> RawEvents:
 
     if not h5py.is_hdf5(path):
         raise InputError(f"{path}: expected an HDF5 file, found something else")
-    with _damage(path), contextlib.ExitStack() as stack:
+    with refusing(path, DAMAGED, OSError), contextlib.ExitStack() as stack:
         file = stack.enter_context(h5py.File(path, "r"))
         refuse_foreign_storage(file, path)
         attributes, own, pooled = _attributes(file, path)
         raw = _own(file, path, attributes, pooled) if own else _foreign(file, path, attributes, options)
         stack.pop_all()  # its blocks are read later
         return replace(raw, close=file.close)
-
-
-@contextlib.contextmanager
-def _damage(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise InputError(f"{path}: truncated or damaged HDF5 ({first_line(error)[:120]})") from error
 
 
 def _own(file, path: Path, attributes: dict, pooled: bool) -> RawEvents:
@@ -152,7 +146,7 @@ def _foreign(file, path: Path, attributes: dict, options: ReadingOptions) -> Raw
     by_layout = any(name in one for one in groups for name in MILLISECONDS) or stream.name == "CD/events"
     holders = [_entries(one) for one in groups]
     own = {name: _attribute(value) for name, value in file[stream.paths[0]].attrs.items()}
-    unit = stream.unit or stated_unit(own, holders, where) or ("us" if by_layout else None)
+    unit = options.time_unit or stream.unit or stated_unit(own, holders, where) or ("us" if by_layout else None)
     size, likely = stated_size(holders, where)
     if any("ms_to_idx" in one for one in groups):
         likely += tuple((one, " of a sensor whose data sets have this layout") for one in MILLISECOND_SIZES)
@@ -182,7 +176,7 @@ def _arrays(file, path: Path) -> Arrays:
     file.visititems(note)
 
     def pieces(names: Sequence[str]) -> Iterator[list[np.ndarray]]:
-        with _damage(path):
+        with refusing(path, DAMAGED, OSError):
             sets = [file[name] for name in names]
             if any(one.chunks is not None and max(one.chunks) > WHOLE for one in sets) or any(
                 one.ndim > 1 and one.shape[0] != max(one.shape) for one in sets

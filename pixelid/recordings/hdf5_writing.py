@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from pixelid.interruption import interrupt_held
 from pixelid.outputs import plain
 from pixelid.recordings.answers import taken_apart
 from pixelid.recordings.columns import RepeatCounter
@@ -33,15 +34,15 @@ def write(recording: Recording | LongRecording, path: Path) -> None:
     """Write a recording to a new HDF5 file, compressed, in blocks."""
     long = as_long(recording)
     head = long.head
-    with _new_file(path) as file:
-        file.attrs.update({"format": FORMAT, "version": VERSION, "condition": head.condition})
-        file.attrs["sensor"] = head.sensor
+    with _new_file(path) as (file, look):
+        file.attrs.update({"format": FORMAT, "version": VERSION, "condition": head.condition, "sensor": head.sensor})
         if head.pooled:
             file.attrs["pooled"] = True
         for name, value in head.attributes.items():
             file.attrs[name] = json.dumps(plain(value)) if isinstance(value, (dict, list, tuple)) else value
         group, edges, counter, repeats = _EventGroup(file, "events", head.events), [], RepeatCounter(), 0
         for part in long.read():
+            look()
             group.append(part.events)
             edges.append(part.triggers)
             repeats += 0 if head.pooled else counter.add(part.events)
@@ -91,12 +92,12 @@ class _EventGroup:
 
 
 @contextmanager
-def _new_file(path: Path) -> Iterator[Any]:
-    """An HDF5 file to write to; raises what stopped the disk from taking it, once it is closed."""
+def _new_file(path: Path) -> Iterator[tuple[Any, Callable[[], None]]]:
+    """An HDF5 file to write to, and a look for interrupts; raises what stopped the disk from taking it, once closed."""
     import h5py
 
-    with _PatientFile(path, "w+b") as disk, h5py.File(disk, "w") as file:
-        yield file
+    with interrupt_held() as look, _PatientFile(path, "w+b") as disk, h5py.File(disk, "w") as file:
+        yield file, look
     if disk.error is not None:
         raise disk.error
 

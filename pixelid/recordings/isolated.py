@@ -147,8 +147,7 @@ class _Child:
             return self._process
         command = [sys.executable, "-c", START, json.dumps(sys.path)]
         pipe, nothing = subprocess.PIPE, subprocess.DEVNULL
-        environment = {**os.environ, **ONE_THREAD}
-        self._process = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=nothing, env=environment)
+        self._process = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=nothing, env=os.environ | ONE_THREAD)
         self._owner = os.getpid()
         return self._process
 

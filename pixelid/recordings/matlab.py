@@ -13,7 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pixelid.errors import InputError, first_line
+from pixelid.errors import InputError
+from pixelid.recordings.damage import refusing
 from pixelid.recordings.events import Events
 from pixelid.recordings.layouts import Arrays, chosen_stream
 from pixelid.recordings.raw import RawEvents
@@ -32,15 +33,14 @@ def opened(path: Path, options: ReadingOptions) -> RawEvents:
     from scipy.io import loadmat
     from scipy.io.matlab import MatReadError
 
+    kinds = MatReadError, ValueError, TypeError, KeyError, OSError, EOFError, IndexError
     try:
-        content = loadmat(path, squeeze_me=False, struct_as_record=True)
+        with refusing(path, "expected a MATLAB file, found a damaged or different one", *kinds):
+            content = loadmat(path, squeeze_me=False, struct_as_record=True)
     except NotImplementedError:
         raise InputError(
             f"{path}: expected a MATLAB file up to version 7, found version 7.3; save it with -v7"
         ) from None
-    except (MatReadError, ValueError, TypeError, KeyError, OSError, EOFError, IndexError, MemoryError) as error:
-        reason = first_line(error)[:120]
-        raise InputError(f"{path}: expected a MATLAB file, found a damaged or different one ({reason})") from None
     found = dict(_columns(content, ""))
     measured = {name: column for name, column in found.items() if name.startswith(f"{EXPOSURES}/")}
     raw = _raw({name: column for name, column in found.items() if name not in measured}, path, options)

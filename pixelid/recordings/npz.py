@@ -16,6 +16,7 @@ import numpy as np
 from pixelid.errors import InputError
 from pixelid.recordings import metadata
 from pixelid.recordings.columns import PART_EVENTS
+from pixelid.recordings.damage import refusing
 from pixelid.recordings.events import Events
 from pixelid.recordings.layouts import Arrays, chosen_stream
 from pixelid.recordings.parts import LongRecording
@@ -25,13 +26,15 @@ from pixelid.recordings.source import ReadingOptions
 from pixelid.recordings.statements import stated_size, stated_unit
 
 PREFIX = "stimulus_"  # of the arrays of the light
+ERRORS = zipfile.BadZipFile, EOFError, OSError, ValueError, zlib.error
+DAMAGE = "expected a .npz archive, found a damaged or different file", *ERRORS
 COLUMNS = {"t": np.dtype(np.int64), "x": np.dtype(np.uint16), "y": np.dtype(np.uint16), "p": np.dtype(np.uint8)}
 
 
 def opened(path: Path, options: ReadingOptions) -> RawEvents:
     """What a .npz file holds; raises InputError where no events can be found in it."""
     where = f"{path}: events"
-    with _damage(path), _members(path) as members:
+    with refusing(path, *DAMAGE), _members(path) as members:
         arrays = _arrays(path)
         values = {
             name: np.lib.format.read_array(members[name](), allow_pickle=False)
@@ -41,7 +44,7 @@ def opened(path: Path, options: ReadingOptions) -> RawEvents:
     small = {name: str(value) if value.dtype.kind in "US" else value for name, value in values.items()}
     meta = metadata.from_json(str(small["metadata"]), f"{path}: metadata") if "metadata" in small else {}
     stream, streams = chosen_stream(arrays, options, where)
-    unit = meta.get("unit") or stream.unit or stated_unit(small, (), where)
+    unit = meta.get("unit") or options.time_unit or stream.unit or stated_unit(small, (), where)
     size, likely = stated_size([meta, small], where)
     light = {name[len(PREFIX) :]: value for name, value in values.items() if name.startswith(PREFIX)} or None
     head = metadata.assemble(meta, Events.empty(1, 1), light, path, str(path))
@@ -49,14 +52,6 @@ def opened(path: Path, options: ReadingOptions) -> RawEvents:
         head, lambda: stream.blocks(arrays), where, unit, meta.get("tick_ns"), size=size, likely_sizes=likely,
         polarity="01" if meta else None, inferred=stream.inferred, streams=streams,
     )  # fmt: skip
-
-
-@contextmanager
-def _damage(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except (zipfile.BadZipFile, EOFError, OSError, ValueError, zipfile.error, zlib.error) as error:
-        raise InputError(f"{path}: expected a .npz archive, found a damaged or different file ({error})") from error
 
 
 @contextmanager
@@ -78,16 +73,16 @@ def _arrays(path: Path) -> Arrays:
                 shape, dtype, _ = _array_header(file)
             if not dtype.hasobject:
                 kinds[name] = (dtype, shape)
+    if members and not kinds:
+        raise InputError(f"{path}: holds Python objects only, which are not read; save numbers: array.astype(float)")
 
     def pieces(names: Sequence[str]) -> Iterator[list[np.ndarray]]:
-        with _damage(path), _members(path) as members, ExitStack() as stack:
+        with refusing(path, *DAMAGE), _members(path) as members, ExitStack() as stack:
             files = [stack.enter_context(members[name]()) for name in names]
             headers = [_array_header(file) for file in files]
             if any(fortran for _, _, fortran in headers):
                 yield [np.lib.format.read_array(members[name](), allow_pickle=False) for name in names]
                 return
-            if any(dtype.itemsize == 0 for _, dtype, _ in headers):
-                raise ValueError("expected numbers, found arrays of none")
             length = headers[0][0][0]
             for k in range(0, length, PART_EVENTS):
                 count = min(PART_EVENTS, length - k)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pixelid.errors import InputError
-from pixelid.recordings.columns import PART_EVENTS, RepeatCounter, floats_to_ns, to_nanoseconds
+from pixelid.recordings.columns import PART_EVENTS, RepeatCounter, floats_to_ns, last_decimal_ns, to_nanoseconds
 from pixelid.recordings.events import NS_PER_UNIT, Events
 from pixelid.recordings.parts import WHOLE_EVENTS, joined
 from pixelid.recordings.recording import Recording
@@ -126,7 +126,7 @@ def interpreted(raw: RawEvents, options: ReadingOptions) -> tuple[Recording, Ite
         notes.append(f"sorted by time: {statistics.fall_count} events were earlier than the one before")
     attributes = Source(stated, inferred, tuple(notes), raw.streams).kept_in(raw.head.attributes)
     counted = not statistics.floating or ("time_unit" in inferred and statistics.whole)
-    tick_ns = raw.tick_ns or (NS_PER_UNIT[unit] if counted else 1)
+    tick_ns = raw.tick_ns or (NS_PER_UNIT[unit] if counted else last_decimal_ns(statistics.spacing, unit))
     exposures = None
     if raw.exposures is not None:
         exposures = joined(*interpreted(raw.exposures, replace(options, size=settled.size, clock=None))).events
@@ -218,7 +218,8 @@ def _whole(column: np.ndarray, where: str) -> np.ndarray:
     if column.dtype.kind != "f":
         return column
     if not np.all(np.isfinite(column) & (column == np.rint(column)) & (np.abs(column) < 2**53)):
-        raise InputError(f"{where}: expected integers, found {column[column != np.rint(column)][:1].tolist() or 'NaN'}")
+        found = column[column != np.rint(column)][:1].tolist() or "NaN"
+        raise InputError(f"{where}: expected integers, found {found}; write whole pixels, counted from 0")
     return column.astype(np.int64)
 
 

@@ -23,9 +23,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pixelid.errors import InputError, first_line
+from pixelid.errors import InputError
 from pixelid.recordings import evt
 from pixelid.recordings.columns import Rollovers
+from pixelid.recordings.damage import refusing
 from pixelid.recordings.events import Events
 from pixelid.recordings.raw import Block, RawEvents
 from pixelid.recordings.recording import Recording
@@ -86,14 +87,11 @@ def opened_bag(path: Path) -> Iterator[AnyReader]:
     from rosbags.rosbag2 import ReaderError as Ros2Error
     from rosbags.typesys import Stores, get_typestore
 
-    try:
-        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as bag:
-            yield bag
-    except InputError:
-        raise
-    except (AnyReaderError, Ros1Error, Ros2Error, OSError, ValueError, KeyError, IndexError, AssertionError) as error:
-        reason = first_line(error)[:120]
-        raise InputError(f"{path}: expected a ROS bag, found a damaged or different file ({reason})") from None
+    kinds = AnyReaderError, Ros1Error, Ros2Error, OSError, ValueError, KeyError, IndexError, AssertionError
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    what = "expected a ROS bag, found a damaged or different file"
+    with refusing(path, what, *kinds), AnyReader([path], default_typestore=store) as bag:
+        yield bag
 
 
 class _Message:

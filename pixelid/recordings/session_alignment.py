@@ -130,9 +130,8 @@ def _placed(case: Case, rate: SharedRate, others: SharedRate) -> RecordingAlignm
         if case.events is not None or len(case.recording.events) > LEAST_CHANGES:
             return _result(case, None, rate, f"not aligned: {reason}", doubts)
     alignment = _inherited(case, rate)
-    why = "no events" if not len(case.recording.events) else "constant light"
-    if why == "constant light" and not is_constant(case.light):
-        why = "too few events"
+    why = "constant light" if is_constant(case.light) else "too few events"
+    why = why if len(case.recording.events) else "no events"
     return _result(case, alignment, rate, f"{why}: any start serves that covers the events", doubts)
 
 

@@ -20,7 +20,7 @@ from pixelid.errors import InputError, did_you_mean, shown
 ATTRIBUTE = "source"
 TIME_UNITS, POLARITIES, CLOCKS = ("s", "ms", "us", "ns"), ("01", "pm1", "swapped"), ("strict", "sort", "split")
 OPTION = {"time_unit": "--time-unit s|ms|us|ns", "size": "--size WxH", "columns": "--columns t,x,y,p",
-          "polarity": "--polarity 01|pm1|swapped", "clock": "--clock sort|split", "stream": "--stream NAME",
+          "polarity": "--polarity 01|pm1|swapped|OFF/ON", "clock": "--clock sort|split", "stream": "--stream NAME",
           "chip": "--chip NAME"}  # fmt: skip
 SUBJECT = {"time_unit": "t taken as", "size": "size", "columns": "columns taken as", "polarity": "polarity",
            "stream": "stream", "clock": "clock goes back: stretch"}  # fmt: skip
@@ -54,7 +54,7 @@ class ReadingOptions:
             columns that have names.
         stream: which of several streams, topics or arrays.
         chip: name of the sensor, whose size and address layout are known.
-        polarity: "01", "pm1" (−1 is OFF), or "swapped" (ON and OFF exchanged).
+        polarity: "01", "pm1" (−1 is OFF), "swapped" (ON and OFF exchanged), or both codes: "1/2" (2 is ON).
         clock: of times that fall: "strict" refuses, "sort" sorts, "split" or "split:K" reads the K-th stretch.
     """
 
@@ -113,7 +113,9 @@ def _checked(name: str, value: Any, where: str) -> Any:
         raise InputError(f"{where}: expected text, found {shown(value)}")
     known: tuple[str, ...] = {"time_unit": TIME_UNITS, "polarity": POLARITIES, "clock": CLOCKS}.get(name, ())
     value = value.replace("µ", "u") if name == "time_unit" else value
-    ok = value in known or (name == "clock" and re.fullmatch(r"split:[1-9]\d{0,5}", value))
+    ok = value in known or re.fullmatch(
+        {"clock": r"split:[1-9]\d{0,5}", "polarity": r"-?\d{1,5}/-?\d{1,5}"}.get(name, "(?!)"), value
+    )
     if known and not ok:
         raise InputError(f"{where}: expected {', '.join(known)}, found {shown(value)}{did_you_mean(value, known)}")
     if name == "chip" and size_of_chip(value) is None:

@@ -14,7 +14,6 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
@@ -22,9 +21,10 @@ from typing import Any
 
 import numpy as np
 
-from pixelid.delimited import COMMENTS, DECIMAL_COMMA, HEAD_BYTES, NUMBER, SPACES, cells_of, encoding_of
+from pixelid.delimited import COMMENTS, DECIMAL_COMMA, HEAD_BYTES, NO_ROW, NUMBER, SPACES, cells_of, encoding_of
 from pixelid.errors import InputError, first_line, shown
 from pixelid.recordings import metadata
+from pixelid.recordings.damage import refusing
 from pixelid.recordings.events import Events
 from pixelid.recordings.parts import LongRecording, as_long
 from pixelid.recordings.raw import Block, RawEvents
@@ -37,7 +37,7 @@ from pixelid.time_units import UNIT_OF, plain, unit_in
 LINES_AT_ONCE, LINES_READ = 1 << 19, 1 << 12
 SIZE = re.compile(r"(?:geometry|size|resolution|sensor)\W+(\d{1,5})\s*[x×, ;]\s*(\d{1,5})", re.I)
 SIDES = re.compile(r"\b(?:(width)|(height)|(W)|(H))\W{1,3}(\d{1,5})\b", re.I)
-NO_ROW = re.compile(r"\s*(?:[#%]|//|(?:nan|[\s,;])*$)", re.I)  # a comment, or no number
+BINARY = ("expected text, found binary data", UnicodeError)
 BRACKETS = str.maketrans("[]()", "    ")  # of rows that are written as Python shows them
 
 
@@ -62,28 +62,20 @@ class _Header:
 def opened(path: Path, options: ReadingOptions) -> RawEvents:
     """What a text file holds; raises InputError for lines that are not numbers."""
     where = f"{path}: events"
-    with _text(path):
+    with refusing(path, *BINARY):
         header = _header(path)
         sample = next(_frames(path, header, where, ROWS), None)
     order, unit, inferred = _order(sample, header, options, where)
     unit = unit or header.meta.get("unit") or header.unit
 
     def blocks() -> Iterator[Block]:
-        with _text(path):
+        with refusing(path, *BINARY):
             for columns in _frames(path, header, where, LINES_AT_ONCE):
                 yield Block.of(columns[k] for k in order)
 
     head = metadata.assemble(header.meta, Events.empty(1, 1), header.light, path, str(path))
     return RawEvents(head, blocks, where, unit, header.meta.get("tick_ns"), size=header.size, likely_sizes=header.chip,
                      inferred=inferred, polarity="01" if header.meta else None)  # fmt: skip
-
-
-@contextmanager
-def _text(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except UnicodeError as error:
-        raise InputError(f"{path}: expected text, found binary data") from error
 
 
 def _header(path: Path) -> _Header:
@@ -208,7 +200,9 @@ def _frames(path: Path, header: _Header, where: str, rows: int) -> Iterator[list
         if isinstance(error, UnicodeError):
             raise
         reason = first_line(error)
-        raise InputError(f"{where}: expected lines of t x y p after event {done}, found: {reason}") from error
+        raise InputError(
+            f"{where}: expected lines of t x y p after event {done}, found: {reason}; remove or correct that line"
+        ) from error
 
 
 def _numbers(column: np.ndarray, where: str, before: int) -> np.ndarray:
