@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import importlib
 import os
 import signal
@@ -12,7 +11,7 @@ import click
 
 from pixelid.cli.terminal import complain, use_utf8, warnings_as_lines
 from pixelid.errors import PixelidError, did_you_mean, on_command_line
-from pixelid.interruption import INTERRUPTED, TERMINATED, end_on_interrupt, ending, exit_code, sentence
+from pixelid.interruption import end_on_interrupt, ending, exit_code, sentence
 from pixelid.provenance import running
 
 # Recordings already share out the cores; BLAS threads for ten by ten matrices spin on them.  Before NumPy is imported.
@@ -148,22 +147,13 @@ def _interrupted() -> int:
 
 
 def run() -> None:
-    """Console entry point.
-
-    A run that was interrupted ends without taking its libraries down: those that it stopped in the middle may crash.
-    """
+    """Console entry point."""
     try:
         end_on_interrupt(_remove_temporaries)
         code = main()
     except KeyboardInterrupt:  # before `main` could answer it, or while it did
         code = _interrupted()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # nothing is left to stop
-    if code in (INTERRUPTED, TERMINATED):
-        _remove_temporaries()
-        for stream in (sys.stdout, sys.stderr):
-            with contextlib.suppress(OSError, ValueError):
-                stream.flush()
-        os._exit(code)
     sys.exit(code)
 
 

@@ -95,7 +95,7 @@ def interpreted(raw: RawEvents, options: ReadingOptions) -> tuple[Recording, Ite
     size = options.size or (size_of_chip(options.chip) if options.chip else None) or raw.size
     unit, code = options.time_unit or raw.unit, options.polarity or raw.polarity
     statistics, blocks, widest = Statistics(), raw.blocks, (0, 0)
-    if None in size or unit is None or code is None or clock != "strict":
+    if None in (*size, unit, code, raw.tick_ns) or clock != "strict":
         statistics, blocks = _looked_at(raw)
         widest = statistics.side
         if raw.exposures is not None:

@@ -140,6 +140,14 @@ def test_times_in_single_precision_show_their_clock(tmp_path):
     assert np.abs(e.t - T * 1000 - 30 * 10**9).max() <= 6_000
 
 
+def test_the_clock_shows_where_everything_is_stated(tmp_path):
+    (tmp_path / "a.csv").write_text(table(T * 1e-6, X, Y, P, head="t [s],x,y,p\n"))
+    stated = ReadingOptions(size=(320, 200), time_unit="s", polarity="01", columns=("t", "x", "y", "p"))
+    recording = open_recording(tmp_path / "a.csv", stated)
+    assert holds(recording)
+    assert recording.events.tick_ns == 1
+
+
 def test_a_unit_that_is_none_is_stated(tmp_path):
     with h5py.File(tmp_path / "a.h5", "w") as file:
         for name, column in zip(("t", "x", "y", "p"), (T * 1000, X, Y, P), strict=True):
