@@ -164,6 +164,8 @@ def _parsed(lines: list[str], path: Path, stated: tuple[str | int, ...] = ()) ->
     table.head = [split(line.strip(), mark) for line in lines[:first]]
     header = set(lines[:first])  # comes again where files are joined
     table.lines = [line for line in lines[first:] if line not in header]
+    if not table.lines:
+        raise InputError(f"{path}: expected a header t,radiance and at least two rows, found the header only")
     cells = [split(line.strip(), mark) for line in lines[first : first + HEAD_ROWS]]
     table.rows = with_points(cells, mark, str(path))
     if table.rows != cells and mark == ",":  # in quotes

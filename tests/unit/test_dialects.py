@@ -87,6 +87,9 @@ def test_joined_traces(tmp_path):
     (tmp_path / "a.csv").write_text("t_s,lux\n0,1\n1,2\nt_s,lux\n2,3\nnan,nan\n")
     light = load_stimulus(tmp_path / "a.csv")
     assert (light.t.tolist(), light.radiance.tolist()) == ([0.0, 1.0, 2.0], [1.0, 2.0, 3.0])
+    (tmp_path / "a.csv").write_text("timestamp,lux\n\ntimestamp,lux\n")
+    with pytest.raises(InputError, match="found the header only"):
+        load_stimulus(tmp_path / "a.csv")
 
 
 def test_times_of_two_clocks_are_refused(tmp_path):
