@@ -1,5 +1,7 @@
 """What files state in passing is read, and what fits twice is refused: text, arrays, light, pictures, biases."""
 
+import warnings
+
 import h5py
 import numpy as np
 import pytest
@@ -90,6 +92,14 @@ def test_joined_traces(tmp_path):
     (tmp_path / "a.csv").write_text("timestamp,lux\n\ntimestamp,lux\n")
     with pytest.raises(InputError, match="found the header only"):
         load_stimulus(tmp_path / "a.csv")
+
+
+def test_samples_that_are_counted_by_nothing_finite(tmp_path):
+    (tmp_path / "a.csv").write_text("X,CH1,Start,Increment,\nSequence,Volt,0.0,1e999\n0,1.0,\n1,1.5,\n")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(InputError):
+            load_stimulus(tmp_path / "a.csv")
 
 
 def test_times_of_two_clocks_are_refused(tmp_path):
