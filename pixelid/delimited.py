@@ -13,6 +13,7 @@ SPACES = r"\s+"
 NUMBER = re.compile(r"[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?|nan|true|false", re.I)
 DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?|[-+]?\d+,\d*[eE][-+]?\d+")
 COMMENTS = ("#", "%", "//")
+NO_ROW = re.compile(r"\s*(?:[#%]|//|(?:nan|[\s,;])*$)", re.I)  # a comment, or a line without any number
 CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f\x7f\x81\x8d\x8f\x90\x9d]")  # in no text of one byte a letter
 HEAD_BYTES = 1 << 16  # in which a text's coding shows, and a table's header lies
 BYTE_ORDER_MARKS = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}

@@ -70,19 +70,41 @@ def interrupt_kept() -> Iterator[None]:
     Optimisers take an exception in a callback for a failed evaluation, and return as if they had ended by themselves.
     Only the main thread gets interrupts: elsewhere, and where someone has a handler of their own, this does nothing.
     """
-    handler = signal.default_int_handler
-    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) is not handler:
+    with _noted(raising=True):
         yield
+
+
+@contextmanager
+def interrupt_held() -> Iterator[Callable[[], None]]:
+    """Let an interrupt wait until the block asks for it, by what it gets here, or ends.
+
+    Libraries that call back crash where an exception passes through them.
+    """
+    with _noted(raising=False) as seen:
+
+        def look() -> None:
+            if seen:
+                raise KeyboardInterrupt
+
+        yield look
+
+
+@contextmanager
+def _noted(raising: bool) -> Iterator[list[int]]:
+    """Interrupts of the block, which end it, at once or at its end; nothing where others have them."""
+    handler, seen = signal.default_int_handler, []
+    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) is not handler:
+        yield seen
         return
-    seen: list[int] = []
 
     def note(number: int, frame: object) -> None:
         seen.append(number)
-        raise KeyboardInterrupt
+        if raising:
+            raise KeyboardInterrupt
 
     signal.signal(signal.SIGINT, note)
     try:
-        yield
+        yield seen
     except Exception:
         if seen:
             raise KeyboardInterrupt from None

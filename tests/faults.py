@@ -29,7 +29,7 @@ from pathlib import Path
 from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
-from processes import Outcome, import_everything, run, start
+from processes import NOT_BEGUN, Outcome, import_everything, run, start
 
 KINDS = ("write", "fsync", "rename", "link", "mkdir", "create", "truncate")  # as in faults.c
 ALWAYS = 1 << 30
@@ -273,9 +273,9 @@ def interrupts_of(name: str, folder: Path, count: int, seed: int) -> dict[str, A
         took = time.monotonic() - pressed
         code = os.waitstatus_to_exitcode(status)
         after = contents(folder)
-        if code in (0, 1) and after.keys() == before.keys():
+        if code == NOT_BEGUN or (code in (0, 1) and after.keys() == before.keys()):
             before = after
-            continue  # it was faster
+            continue  # it had not begun, or was faster
         kept = {name: content for name, content in after.items() if "tiles" not in name and not name.startswith(".out")}
         said = f"exit code {code}" if code != 130 else "" if kept == before else "changed"
         said = said or (f"took {took:.1f} s" if took > 2.0 else "")

@@ -12,7 +12,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,8 +20,9 @@ from typing import Any
 import pixelid
 from pixelid.cli import main as home
 from pixelid.cli.main import main
-from pixelid.interruption import end_on_interrupt
 from pixelid.recordings import isolated
+
+NOT_BEGUN = 125  # exit code of a process that was interrupted before its command line had begun
 
 
 @dataclass(frozen=True)
@@ -112,15 +113,32 @@ def _take_over(reader: subprocess.Popen) -> None:
 
 
 def start(words: Sequence[str], folder: Path) -> int:
-    """Run the command line and do not wait for it; the process, leader of a group of its own."""
+    """Run the command line and do not wait for it; the process, leader of a group of its own.
+
+    An interrupt that comes before the command line has begun waits for it, and ends the process with `NOT_BEGUN`: in a
+    process that was started by itself, Python's own start takes that time.
+    """
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     child = os.fork()
     if child == 0:
-        os.setpgid(0, 0)
         signal.signal(signal.SIGINT, signal.default_int_handler)
+        os.setpgid(0, 0)
         os.chdir(folder)
         nothing = os.open(os.devnull, os.O_RDWR)
         for descriptor in (1, 2):
             os.dup2(nothing, descriptor)
-        end_on_interrupt(home._remove_temporaries)
-        os._exit(main(list(words)))
+        sys.argv[1:] = words
+        code: object = NOT_BEGUN
+        try:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+            home.run()
+        except SystemExit as end:
+            code = end.code
+        except KeyboardInterrupt:
+            pass
+        finally:
+            os._exit(code if isinstance(code, int) else 1)
+    signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+    with suppress(OSError):
+        os.setpgid(child, child)  # whoever of the two comes first
     return child

@@ -69,7 +69,7 @@ def draw_recording(result: Calibration, recording: Recording | None, alignment: 
 
 def _has_evidence(alignment: RecordingAlignment | None) -> bool:
     """Whether the events were compared with the light at several offsets."""
-    return alignment is not None and alignment.evidence is not None and len(alignment.evidence.lags_s) > 1
+    return alignment is not None and alignment.evidence is not None and alignment.evidence.shape[1] > 1
 
 
 def _draw_events(axis: Any, fit: FitResult, recording: Recording) -> None:
@@ -84,7 +84,7 @@ def _draw_evidence(axis: Any, alignment: RecordingAlignment) -> None:
     """Mean loss against the offset of the light from the one that was chosen; the lowest of each stretch."""
     evidence = alignment.evidence
     assert evidence is not None
-    lags, loss, _ = envelope(1e3 * evidence.lags_s, evidence.loss)
+    lags, loss, _ = envelope(1e3 * evidence[0], evidence[1])
     axis.axvline(0.0, color=IMPROVED if alignment.alignment is not None else MUTED, linewidth=1.4)
     axis.plot(lags, loss, color=INK, linewidth=0.9)
     if alignment.interval_95 is not None and alignment.offset_s is not None:

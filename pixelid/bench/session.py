@@ -9,7 +9,7 @@ import numpy as np
 
 from pixelid.bench.files import Bench, Entry
 from pixelid.errors import InputError
-from pixelid.recordings.crop import crop
+from pixelid.recordings.crop import Crop
 from pixelid.recordings.doubts import doubts_of_events
 from pixelid.recordings.reading import open_recording
 from pixelid.recordings.recording import Recording
@@ -83,7 +83,7 @@ def read_session(
     _check_units(recordings, lights)
     roi = roi or bench.roi
     if roi is not None:
-        recordings = [crop(r, roi=roi) if len(r.events) else r for r in recordings]
+        recordings = [Crop(roi).applied(r) if len(r.events) else r for r in recordings]
     good, bad = good_pixels(recordings)
     if len(good) < LEAST_PIXELS:
         raise InputError(f"{bench.folder}: expected events of at least {LEAST_PIXELS} pixels, found {len(good)}")

@@ -12,6 +12,7 @@ from pixelid.errors import InputError
 
 if TYPE_CHECKING:
     from pixelid.recordings.crop import Crop
+    from pixelid.recordings.recording import Recording
 
 EXAMPLE = """
 \b
@@ -66,8 +67,13 @@ def command(
         recording, said = converted(source, stimulus, align, crop, seed)
         totals = Totals()
         with bar(quiet) as report:
+
+            def counted(part: Recording) -> Recording:
+                report(f"{totals.add(part) / 1e6:.0f} M events", 0.0)
+                return part
+
             if isinstance(recording, LongRecording):
-                recording = recording.watched(lambda part: report(f"{totals.add(part) / 1e6:.0f} M events", 0.0))
+                recording = recording.map(counted)
             else:
                 totals.add(recording)
             write_recording(recording, target, overwrite=overwrite, progress=report)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import signal
 import sys
 
 import click
@@ -147,8 +148,13 @@ def _interrupted() -> int:
 
 def run() -> None:
     """Console entry point."""
-    end_on_interrupt(_remove_temporaries)
-    sys.exit(main())
+    try:
+        end_on_interrupt(_remove_temporaries)
+        code = main()
+    except KeyboardInterrupt:  # before `main` could answer it, or while it did
+        code = _interrupted()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # nothing is left to stop
+    sys.exit(code)
 
 
 def _remove_temporaries() -> None:

@@ -82,7 +82,7 @@ SIDE = click.IntRange(1, 1 << 16)  # recordings.events.MOST_SIDE
 
 STATED = ("size", "time_unit", "columns", "stream", "chip", "polarity", "clock")  # recordings.source.ReadingOptions
 STATED_AS = (
-    ("WxH", "s|ms|us|ns", "t,x,y,p", "NAME", "NAME", "01|pm1|swapped", "strict|sort|split[:K]"),
+    ("WxH", "s|ms|us|ns", "t,x,y,p", "NAME", "NAME", "01|pm1|swapped|OFF/ON", "strict|sort|split[:K]"),
     (
         "Sensor's size, where the file does not state it.",
         "Unit of its times.",

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from pixelid.errors import InputError, shown
-from pixelid.recordings.columns import PART_EVENTS, Rollovers
+from pixelid.recordings.columns import Rollovers, word_pairs
 from pixelid.recordings.events import Events
 from pixelid.recordings.raw import Block, RawEvents
 from pixelid.recordings.recording import Recording
@@ -31,7 +31,7 @@ END_OF_HEADER, LONGEST_LINE = "#End Of ASCII Header", 1 << 20
 def opened(path: Path, options: ReadingOptions) -> RawEvents:
     """The events of an AEDAT2 file; frames, IMU samples and external inputs are left out.
 
-    Raises InputError for other chips, none, and for a file that ends within an event.
+    Raises InputError for other chips, and none.
     """
     lines, start = _header(path)
     words = next((line.split("AEChip:")[1].split() for line in lines if "AEChip:" in line), [])
@@ -42,9 +42,6 @@ def opened(path: Path, options: ReadingOptions) -> RawEvents:
             f"{path}: AEChip: expected one of {', '.join(CHIPS)}, found {shown(chip) if chip else 'nothing'}; "
             "state whose addresses these are: --chip DAVIS346|DAVIS240|DVS128"
         )
-    length = path.stat().st_size - start
-    if length % 8:
-        raise InputError(f"{path}: expected 8 bytes per event after the header, found {length % 8} left over")
     head = Recording(Events.empty(1, 1), sensor=chip, source=path, attributes={"biases": _biases(lines, chip)})
     return RawEvents(
         head, lambda: _blocks(path, start, name == "DVS128"), f"{path}: events", "us", 1000, size=SENSOR_SIZES[name],
@@ -56,14 +53,11 @@ def _blocks(path: Path, start: int, dvs128: bool) -> Iterator[Block]:
     """Blocks of (t µs, x, y, p), the clock's rollovers undone."""
     columns = _of_dvs128 if dvs128 else _of_davis
     clock = Rollovers(1 << 32)
-    with path.open("rb") as file:
-        file.seek(start)
-        while len(data := file.read(8 * PART_EVENTS)):
-            words = np.frombuffer(data, ">u4").reshape(-1, 2)
-            address = words[:, 0].astype(np.uint32)
-            no_event, *xyp = columns(address)
-            keep = (address >> 31 | no_event) == 0
-            yield Block.of((clock.undone(words[keep, 1]), *(column[keep] for column in xyp)))
+    for words in word_pairs(path, start, ">u4"):
+        address = words[:, 0].astype(np.uint32)
+        no_event, *xyp = columns(address)
+        keep = (address >> 31 | no_event) == 0
+        yield Block.of((clock.undone(words[keep, 1]), *(column[keep] for column in xyp)))
 
 
 def _of_davis(address: np.ndarray) -> tuple[np.ndarray, ...]:

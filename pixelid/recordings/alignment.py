@@ -9,7 +9,7 @@ of the camera's seconds one second of the light takes (1 + rate error).  What th
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from pixelid.recordings.alignment_from_events import alignment_from_events
 from pixelid.recordings.clocks import CRYSTAL, ONE_CLOCK, Alignment, ClockPrior
 from pixelid.recordings.events import Events
 from pixelid.recordings.kept import ATTRIBUTE, kept_of
-from pixelid.recordings.parts import WHOLE_EVENTS, Either, LongRecording, as_long, joined, like
+from pixelid.recordings.parts import WHOLE_EVENTS, Either, LongRecording, Totals, as_long, joined, like
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.triggers import Triggers
 from pixelid.statistics import Z95
@@ -54,19 +54,12 @@ def find_alignment(recording: Recording, light: Light, how: str, *, one_clock: b
     alignment = _find(recording, light, how)
     if one_clock and alignment.prior is not None:
         prior = replace(alignment.prior, rate_mean=0.0, rate_sd=ONE_CLOCK)
-        start = alignment.offset_s + (1.0 + alignment.rate_error) * prior.at_s
-        offset, half = start - prior.at_s, Z95 * ONE_CLOCK
+        later, half = alignment.rate_error * prior.at_s, Z95 * ONE_CLOCK
         interval = alignment.offset_interval_95
-        moved = None if interval is None else (interval[0] + offset - alignment.offset_s,
-                                               interval[1] + offset - alignment.offset_s)  # fmt: skip
         alignment = replace(
-            alignment,
-            offset_s=offset,
-            rate_error=0.0,
-            rate_interval_95=(-half, half),
-            offset_interval_95=moved,
-            prior=prior,
-        )
+            alignment, prior=prior, offset_s=alignment.offset_s + later, rate_error=0.0, rate_interval_95=(-half, half),
+            offset_interval_95=None if interval is None else (interval[0] + later, interval[1] + later),
+        )  # fmt: skip
     return replace(alignment, start_s=alignment.offset_s + (1.0 + alignment.rate_error) * light.start_s)
 
 
@@ -99,19 +92,32 @@ def _given(how: str, light: Light) -> Alignment:
             f"--align: expected {', '.join(METHODS)} or seconds, as 12.345 or 12.345±0.001, found {how!r}"
             f"{did_you_mean(how, METHODS)}"
         )
-    return known_alignment(seconds, "given", ClockPrior(0.0, light.duration_s, sd, 0.0, CRYSTAL), light)
+    return known_alignment(seconds, "given", 0.0, sd, light)
 
 
-def known_alignment(offset_s: float, method: str, prior: ClockPrior, light: Light, rate: float = 0.0) -> Alignment:
-    """An alignment that is known as well as its prior says; `offset_s` at the light's time zero."""
-    assert prior.delay_sd_s is not None
-    half, start_half = (
-        Z95 * float(np.hypot(prior.delay_sd_s, (moment - prior.at_s) * prior.rate_sd))
-        for moment in (0.0, light.start_s)
-    )
-    rates = rate - Z95 * prior.rate_sd, rate + Z95 * prior.rate_sd
-    interval = offset_s - half, offset_s + half
-    return Alignment(offset_s, method, interval, rate, rates, prior, start_half_s=start_half)
+def known_alignment(
+    offset_s: float,
+    method: str,
+    at_s: float,
+    delay_sd_s: float,
+    light: Light,
+    rate: float = 0.0,
+    rate_sd: float = CRYSTAL,
+) -> Alignment:
+    """An alignment that is known as well as stated; its prior knows the clocks' rate as well as crystals keep it.
+
+    Args:
+        offset_s: at the light's time zero.
+        method: of `Alignment`.
+        at_s: the light's moment at which the delay is known to `delay_sd_s`.
+        light: that is aligned.
+        rate, rate_sd: of the clock rate error.
+    """
+    half, start_half = (Z95 * float(np.hypot(delay_sd_s, (moment - at_s) * rate_sd)) for moment in (0.0, light.start_s))
+    prior = ClockPrior(at_s, light.duration_s, delay_sd_s, 0.0, CRYSTAL)
+    rates = rate - Z95 * rate_sd, rate + Z95 * rate_sd
+    interval, start_s = (offset_s - half, offset_s + half), offset_s + (1.0 + rate) * light.start_s
+    return Alignment(offset_s, method, interval, rate, rates, prior, start_s, start_half)
 
 
 def aligned(recording: Either, light: Light, alignment: Alignment) -> Either:
@@ -122,15 +128,15 @@ def aligned(recording: Either, light: Light, alignment: Alignment) -> Either:
     """
     long = as_long(recording)
     zero_ns, first, last = _span_ns(long.head, light, alignment)
-    inside = outside = 0
-    ends: list[int] = []
+    inside, totals = 0, Totals()
     for part in long.read():
         t = part.events.t
         begin, end = np.searchsorted(t, first), np.searchsorted(t, last, side="right")
-        inside, outside = inside + int(end - begin), outside + len(t) - int(end - begin)
-        ends = [*ends[:1], *t[:1].tolist(), *t[-1:].tolist()]
-    if ends and not inside:
-        light_s, events_s = (f"{a * 1e-9:.10g}..{b * 1e-9:.10g} s" for a, b in ((first, last), (ends[0], ends[-1])))
+        inside += int(end - begin)
+        totals.add(part)
+    if totals.events and not inside:
+        spans = (first, last), (totals.ends[0], totals.ends[-1])
+        light_s, events_s = (f"{begin * 1e-9:.10g}..{end * 1e-9:.10g} s" for begin, end in spans)
         raise InputError(
             f"{long.name}: no event lies within the light, at {light_s} of the camera's clock; events are at "
             f"{events_s} (--align)"
@@ -140,7 +146,7 @@ def aligned(recording: Either, light: Light, alignment: Alignment) -> Either:
         kept = events.select(np.s_[np.searchsorted(events.t, since) : np.searchsorted(events.t, last, side="right")])
         return replace(kept, t=kept.t - zero_ns)
 
-    head = _with_light(long.head, light, alignment, outside)
+    head = _with_light(long.head, light, alignment, totals.events - inside)
     if head.exposures is not None:
         head = replace(head, exposures=moved(head.exposures, zero_ns))
 
@@ -189,10 +195,10 @@ def _with_light(recording: Recording, light: Light, alignment: Alignment, outsid
     told = {**alignment.as_dict(), "zero_ns": zero_ns, "events_outside": outside}
     if alignment.prior is not None:
         at_s = offset_s + rate * alignment.prior.at_s
-        told["prior"] = replace(alignment.prior, at_s=at_s, span_s=rate * alignment.prior.span_s).as_dict()
+        told["prior"] = asdict(replace(alignment.prior, at_s=at_s, span_s=rate * alignment.prior.span_s))
     attributes = {**recording.attributes, "alignment": told}
     if ATTRIBUTE in attributes:
-        attributes[ATTRIBUTE] = kept_of(recording).shifted(zero_ns * 1e-9).as_dict()
+        attributes[ATTRIBUTE] = asdict(kept_of(recording).shifted(zero_ns * 1e-9))
     return replace(recording, stimulus=light.shifted(offset_s, rate), attributes=attributes)
 
 
@@ -231,12 +237,10 @@ def _trigger_alignment(recording: Recording, light: Light, how: str) -> Alignmen
     if len(edges) == 2:
         between = float(np.diff(moments)[0])
         rate, rate_sd = float(np.diff(edges)[0]) / between - 1.0, float(np.sqrt(2.0)) * stamp / between
-    prior = ClockPrior(begin, light.duration_s, stamp, 0.0, CRYSTAL)
-    offset = float(edges[0]) - (1.0 + rate) * begin
-    alignment = known_alignment(offset, "trigger", replace(prior, rate_sd=rate_sd), light, rate)
     assert recording.triggers is not None
     note = "" if recording.triggers.rises_at(edges[0]) else "no edge rises; falling ones are taken"
-    return replace(alignment, prior=prior, note=note)
+    offset = float(edges[0]) - (1.0 + rate) * begin
+    return replace(known_alignment(offset, "trigger", begin, stamp, light, rate, rate_sd), note=note)
 
 
 def _edges_s(recording: Recording, triggers: Triggers, channel: str) -> np.ndarray:

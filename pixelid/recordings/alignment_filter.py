@@ -21,6 +21,7 @@ RATE_BOUND = 5e-4  # of a clock: crystals are within 1e-4, ceramic resonators wi
 SHIFT_S, DEAD_S = 1e-3, 1e-4  # units of the first and the seventh parameter
 MOST_SHIFT = 20.0  # of SHIFT_S that a refinement may move
 MOST_SAMPLES = 1 << 18  # of the filter
+SCANNED_AT_ONCE = 64  # offsets
 WEAK = 0.03  # thresholds' units by which an e-fold of a filter's rate counts: holds what the light does not excite
 
 # Starts: ln of stiffness, damping, damping by light and follower rate (1/s² and 1/s, at the light's geometric mean),
@@ -90,6 +91,14 @@ class LogLight:
         """The last sample's time."""
         return self.first_s + self.step_s * (self.log.shape[1] - 1)
 
+    def at(self, filtered: np.ndarray, t: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Value and slope of light number `which` of filtered (lights, n) at times t; constant outside of the grid."""
+        place, last = (t - self.first_s) / self.step_s, filtered.shape[1] - 1
+        k = np.clip(place, 0, last - 1).astype(np.int64)
+        low, rise = filtered[which, k], filtered[which, k + 1] - filtered[which, k]
+        inside = (place > 0.0) & (place < last)
+        return low + np.clip(place - k, 0.0, 1.0) * rise, np.where(inside, rise / self.step_s, 0.0)
+
     def filtered(self, rates: np.ndarray) -> np.ndarray:
         """(m, lights, n) behind filters of ln rates (m, 4): see `STARTS`."""
         out = np.empty((len(rates), *self.log.shape))
@@ -109,7 +118,6 @@ class Refined:
     x: np.ndarray
     residuals: np.ndarray
     jacobian: np.ndarray
-    loss: np.ndarray
 
     @property
     def zero_s(self) -> float:
@@ -119,7 +127,7 @@ class Refined:
     @property
     def cost(self) -> float:
         """Mean loss of a change."""
-        return float(self.loss.mean())
+        return float(soft_loss(self.residuals).mean())
 
 
 def soft_loss(residuals: np.ndarray) -> np.ndarray:
@@ -169,7 +177,7 @@ def refine(
             break
     count = len(changes.time)
     r, jacobian = problem.residuals(x)[:count], problem.jacobian(x)[:count]
-    return Refined(begin_s, x, r, jacobian, soft_loss(r))
+    return Refined(begin_s, x, r, jacobian)
 
 
 def _step(gradient: np.ndarray, curvature: np.ndarray, damping: float) -> np.ndarray:
@@ -203,22 +211,16 @@ def scan(
         begins_s: (k,) the light's time zero from `origin_s`.
         x: (9,) parameters; the rate is 0.
     """
-    dead, on, off = DEAD_S * x[6], np.exp(-x[7]), np.exp(-x[8])
-    out = np.empty((2, len(begins_s)))
-    _scan(
-        filtered,
-        light.first_s,
-        light.step_s,
-        changes.begin + dead,
-        changes.time,
-        changes.sign,
-        changes.light,
-        np.where(changes.sign > 0, on, off),
-        np.asarray(begins_s, float),
-        SOFT,
-        out,
-    )
-    return out[0], out[1]
+    gain = np.where(changes.sign > 0, np.exp(-x[7]), np.exp(-x[8])) * changes.sign
+    loss, count = np.zeros(len(begins_s)), np.zeros(len(begins_s))
+    for k in range(0, len(begins_s), SCANNED_AT_ONCE):
+        begin_s = begins_s[k : k + SCANNED_AT_ONCE, None]
+        first, end = changes.begin + DEAD_S * x[6] - begin_s, changes.time - begin_s
+        inside = (first >= light.first_s) & (first <= end) & (end < light.last_s)
+        low, high = (light.at(filtered, t, changes.light)[0] for t in (first, end))
+        loss[k : k + SCANNED_AT_ONCE] = np.where(inside, soft_loss(gain * (high - low) - 1.0), 0.0).sum(axis=1)
+        count[k : k + SCANNED_AT_ONCE] = inside.sum(axis=1)
+    return loss, count
 
 
 def within(changes: Changes, light: LogLight, fit: Refined, middle_s: float | None = None) -> np.ndarray:
@@ -254,22 +256,17 @@ class _Problem:
     def _gain(self, x: np.ndarray) -> np.ndarray:
         return np.where(self.changes.sign > 0, np.exp(-x[7]), np.exp(-x[8])) * self.changes.sign
 
-    def _at(self, filtered: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        value, slope = np.empty(len(t)), np.empty(len(t))
-        _interpolate(filtered, self.light.first_s, self.light.step_s, t, self.changes.light, value, slope)
-        return value, slope
-
     def residuals(self, x: np.ndarray) -> np.ndarray:
         if not np.array_equal(x[2:6], self.rates):
             self.rates, self.filtered = x[2:6].copy(), self.light.filtered(x[None, 2:6])[0]
-        end, begin = (self._at(self.filtered, t)[0] for t in self._times(x))
+        end, begin = (self.light.at(self.filtered, t, self.changes.light)[0] for t in self._times(x))
         return np.concatenate([self._gain(x) * (end - begin) - 1.0, self.holds * (x[2:6] - self.centre)])
 
     def jacobian(self, x: np.ndarray) -> np.ndarray:
         r = self.residuals(x)[: len(self.changes.time)]
         time, begin = self._times(x)
-        gain, on = self._gain(x), self.changes.sign > 0
-        (_, fast), (_, fast_begin) = self._at(self.filtered, time), self._at(self.filtered, begin)
+        gain, on, which = self._gain(x), self.changes.sign > 0, self.changes.light
+        (_, fast), (_, fast_begin) = (self.light.at(self.filtered, t, which) for t in (time, begin))
         out = np.zeros((len(r) + 4, 9))
         rows = out[: len(r)]
         rows[:, 0] = -SHIFT_S * gain * (fast - fast_begin)
@@ -277,7 +274,8 @@ class _Problem:
         rows[:, 1] = -RATE_BOUND * gain * (fast * apart[0] - fast_begin * apart[1])
         step = 1e-4
         for k, moved in enumerate(self.light.filtered(x[2:6] + step * np.eye(4)), start=2):
-            rows[:, k] = (gain * (self._at(moved, time)[0] - self._at(moved, begin)[0]) - 1.0 - r) / step
+            high, low = (self.light.at(moved, t, which)[0] for t in (time, begin))
+            rows[:, k] = (gain * (high - low) - 1.0 - r) / step
         rows[:, 6] = -DEAD_S * gain * fast_begin
         rows[on, 7], rows[~on, 8] = -(r[on] + 1.0), -(r[~on] + 1.0)
         out[len(r) + np.arange(4), 2 + np.arange(4)] = self.holds
@@ -310,39 +308,3 @@ def _filter(u, relative, step, rates, out):
             s[j] = mean + (s[j] - mean) * keep[j]
             y[j], v[j] = y1, v1
             out[j, k] = s[j]
-
-
-@njit(cache=True)
-def _interpolate(y, first, step, t, which, value, slope):
-    """Value and slope of y[which] (lights, n) at times t; constant outside of the grid."""
-    n = y.shape[1]
-    for k in range(len(t)):
-        row = y[which[k]]
-        place = (t[k] - first) / step
-        if place <= 0.0:
-            value[k], slope[k] = row[0], 0.0
-        elif place >= n - 1:
-            value[k], slope[k] = row[n - 1], 0.0
-        else:
-            i = int(place)
-            rise = row[i + 1] - row[i]
-            value[k], slope[k] = row[i] + (place - i) * rise, rise / step
-
-
-@njit(cache=True)
-def _scan(y, first, step, begin, time, sign, which, gain, offsets, soft, out):
-    n = y.shape[1]
-    for o in range(len(offsets)):
-        total, count = 0.0, 0
-        for k in range(len(time)):
-            p, q = (begin[k] - offsets[o] - first) / step, (time[k] - offsets[o] - first) / step
-            if p < 0.0 or q < p or q >= n - 1:
-                continue
-            row = y[which[k]]
-            i, j = int(p), int(q)
-            low = row[i] + (p - i) * (row[i + 1] - row[i])
-            high = row[j] + (q - j) * (row[j + 1] - row[j])
-            r = (sign[k] * gain[k] * (high - low) - 1.0) / soft
-            total += soft * soft * (np.sqrt(1.0 + r * r) - 1.0)
-            count += 1
-        out[0, o], out[1, o] = total, count

@@ -27,7 +27,6 @@ from pixelid.recordings.alignment_filter import (
     Refined,
     downhill,
     hold,
-    lag_s,
     refine,
     soft_loss,
     within,
@@ -35,16 +34,13 @@ from pixelid.recordings.alignment_filter import (
 from pixelid.recordings.alignment_search import (
     LEAST_COMMON,
     MOST_BINS,
-    RIVALS,
+    NEAR_S,
     WIDEST_BIN_S,
-    best_starts,
+    best_offsets,
     changes_of,
-    correlate,
-    distinct,
     is_too_long,
     lights_of,
-    lowest,
-    scan_offsets,
+    optima,
     stretches,
 )
 from pixelid.recordings.clocks import CRYSTAL, Alignment, ClockPrior
@@ -57,7 +53,6 @@ COMPARED = 3_000  # by which offsets are compared
 BLOCKS = 24  # of time, whose residuals count as independent
 LEAST_CHANGES = 50
 LEAST_INSIDE = 0.3  # of the changes within the light: with fewer, a few edges of another light may fit
-NEAR_S = 2e-3  # offsets closer than this are one, known as badly as they differ
 FAST_POLE_S = 1e-5  # lag of a pole too fast for the filter to know (a differencing amplifier's, 16 kHz)
 FORM = 0.03  # thresholds: leak, dark current and the like shift events so that a block shares it
 LAG_KNOWN = 0.03  # of the filter's own lag: how well its form describes a pixel; tests/statistical/test_alignment.py
@@ -157,7 +152,8 @@ def alignment_of(events: EventAlignment, light: Light) -> Alignment:
         events.rate_error,
         (events.rate_error - rate_half, events.rate_error + rate_half),
         ClockPrior(0.5 * (light.start_s + light.end_s), light.duration_s, None, 0.0, CRYSTAL),
-        start_half_s=Z95 * events.sd_at(light.start_s),
+        events.offset_s + (1.0 + events.rate_error) * light.start_s,
+        Z95 * events.sd_at(light.start_s),
     )
 
 
@@ -184,7 +180,7 @@ def align_events(recording: Recording, light: Light, polarity: int = 1) -> Event
             f"{recording.name}: --align auto: expected at least {LEAST_CHANGES} events that follow one of their pixel"
         )
     coarse = LogLight.of(lights, 1)
-    fits, profile = _optima(few, coarse, correlate(recording, lights, of_pixel, polarity)[0] - few.origin_s)
+    fits, profile = optima(few, coarse, best_offsets(recording, lights, of_pixel, polarity)[0] - few.origin_s)
     best = min(fits, key=lambda fit: fit.cost)
     many = stretches(changes, MOST_CHANGES)
     covered = within(many, coarse, best, few.middle_s)
@@ -209,25 +205,6 @@ def align_events(recording: Recording, light: Light, polarity: int = 1) -> Event
         profile=profile,
         middle_s=middle,
     )
-
-
-def _optima(changes: Changes, light: LogLight, peaks: np.ndarray) -> tuple[list[Refined], np.ndarray]:
-    """(refinements from all offsets worth one, profile as of `EventAlignment`)."""
-    begun = best_starts(changes, light, peaks)
-    fits = sorted((refine(changes, light, begin, x, x[2:6], 15) for begin, x in begun), key=lambda fit: fit.cost)
-    begins, losses = scan_offsets(changes, light, fits[0])
-    x = fits[0].x
-    near = [*lowest(begins, losses, fits[0].zero_s), *(peak - lag_s(x[2:6]) for peak in peaks[:RIVALS])]
-    start = np.concatenate([[0.0, 0.0], x[2:]])
-    fits += [refine(changes, light, begin, start, start[2:6], 12) for begin in distinct(near, fits)]
-    best = min(fits, key=lambda fit: fit.cost)
-    fits = [
-        refine(changes, light, fit.begin_s, fit.x, fit.x[2:6], 30, 1e-6)
-        if abs(fit.zero_s - best.zero_s) < NEAR_S
-        else fit
-        for fit in fits
-    ]
-    return fits, np.stack([begins - min(fits, key=lambda fit: fit.cost).zero_s, losses])
 
 
 def _rivals(

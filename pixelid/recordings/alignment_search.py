@@ -6,10 +6,20 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.signal import find_peaks
+from scipy.signal import correlate, correlation_lags, find_peaks
 
 from pixelid.errors import InputError
-from pixelid.recordings.alignment_filter import STARTS, Changes, LogLight, Refined, lag_s, scan, soft_loss
+from pixelid.recordings.alignment_filter import (
+    DEAD_S,
+    STARTS,
+    Changes,
+    LogLight,
+    Refined,
+    lag_s,
+    refine,
+    scan,
+    soft_loss,
+)
 from pixelid.recordings.recording import Recording
 from pixelid.stimuli.pixel_lights import Light, pixel_lights
 from pixelid.stimuli.stimulus import Stimulus
@@ -23,6 +33,7 @@ SCANNED = 6_000  # offsets of the scan: each half a bin of a chirp to 300 Hz ove
 MOST_LIGHTS = 8  # of pixels' own, those with most events: more would tell no other offset
 LEAST_COMMON = 0.4  # of the best's changes: of two or more periods, a shift by one leaves half
 RIVALS = 5  # offsets compared with the best
+NEAR_S = 2e-3  # offsets closer than this are one, known as badly as they differ
 
 
 def is_too_long(recording: Recording, light: Light) -> bool:
@@ -94,10 +105,10 @@ def correlation(recording: Recording, light: Light, polarity: int = 1) -> float:
         recording, lights, of_pixel = lights_of(recording, light)
     except InputError:
         return 0.0
-    return correlate(recording, lights, of_pixel, polarity)[1] if len(recording.events) > 1 else 0.0
+    return best_offsets(recording, lights, of_pixel, polarity)[1] if len(recording.events) > 1 else 0.0
 
 
-def correlate(
+def best_offsets(
     recording: Recording, lights: Sequence[tuple[np.ndarray, np.ndarray]], of_pixel: np.ndarray, polarity: int
 ) -> tuple[np.ndarray, float]:
     """(offsets (s, camera's clock) at which signed events and d ln L/dt correlate best; the highest correlation)."""
@@ -109,39 +120,55 @@ def correlate(
     index = ((events.t - events.t[0]) * 1e-9 / width).astype(np.int64)
     sign, seen_by = np.where(events.p == 1, polarity, -polarity), of_pixel[events.pixel]
     n = int((t[-1] - t[0]) / width) + 1
-    size = 1 << int(np.ceil(np.log2(bins + n)))
-    correlation, length, powers = np.zeros(size), 1.0, np.zeros(2)
+    heights, length, powers = np.zeros(bins + n - 1), 1.0, np.zeros(2)
     for k, (when, log_light) in enumerate(lights):
         counts = np.bincount(index, np.where(seen_by == k, sign, 0.0), bins)
         change = np.diff(np.interp(t[0] + width * np.arange(n + 1), when, log_light))
         counts, change = counts - counts.mean(), change - change.mean()
-        spectra = [np.fft.rfft(series, size) for series in (counts, change)]
-        correlation += np.fft.irfft(spectra[0] * np.conj(spectra[1]), size)
+        heights += correlate(counts, change, method="fft")
         length = max(length, _correlation_length(change))
         powers += [float(counts @ counts), float(change @ change)]
-    lags = np.arange(size)
-    lags[lags >= bins] -= size  # negative: the light began before the first event
-    order = np.argsort(lags)
-    heights = correlation[order]
     peaks, _ = find_peaks(np.concatenate([[-np.inf], heights, [-np.inf]]))
     peaks = peaks[np.argsort(heights[peaks - 1])[::-1]] - 1
     kept: list[int] = []
     for peak in peaks[: 20 * CANDIDATES]:
         if all(abs(peak - other) > length for other in kept):
             kept.append(int(peak))
-    offsets = origin + width * lags[order][kept[:CANDIDATES]] - t[0]
+    offsets = origin + width * correlation_lags(bins, n)[kept[:CANDIDATES]] - t[0]
     return offsets, float(heights.max() / max(np.sqrt(powers.prod()), 1e-300))
 
 
 def _correlation_length(change: np.ndarray) -> float:
     """Bins over which the light's change stays like itself (half height of its autocorrelation)."""
-    spectrum = np.abs(np.fft.rfft(change, 2 * len(change))) ** 2
-    own = np.fft.irfft(spectrum)
+    own = correlate(change, change, method="fft")[len(change) - 1 :]
     below = np.flatnonzero(own < 0.5 * own[0])
     return float(below[0]) if len(below) else 1.0
 
 
-def best_starts(changes: Changes, light: LogLight, peaks: np.ndarray) -> list[tuple[float, np.ndarray]]:
+def optima(changes: Changes, light: LogLight, peaks: np.ndarray) -> tuple[list[Refined], np.ndarray]:
+    """Refinements from all offsets worth one, and (2, k) lags from the best with their mean loss."""
+    begun = _best_starts(changes, light, peaks)
+    fits = sorted((refine(changes, light, begin, x, x[2:6], 15) for begin, x in begun), key=lambda fit: fit.cost)
+    x = fits[0].x
+    start = np.concatenate([[0.0, 0.0], x[2:]])
+    offsets, losses = _scanned(changes, light, fits[0])
+    lows, _ = find_peaks(-np.where(np.isfinite(losses), losses, 1.0))
+    lows = [float(offsets[k]) for k in lows[np.argsort(losses[lows])][: RIVALS + 1] if offsets[k] != fits[0].zero_s]
+    near = [*lows, *(peak - lag_s(x[2:6]) for peak in peaks[:RIVALS])]
+    begins: list[float] = []
+    for begin in near:  # not within 0.3 ms of another: each refinement moves freely by as much
+        if all(abs(begin - other) > 3e-4 for other in [*begins, *(fit.zero_s for fit in fits)]):
+            begins.append(begin)
+    fits += [refine(changes, light, begin, start, start[2:6], 12) for begin in begins]
+    best = min(fits, key=lambda fit: fit.cost).zero_s
+    fits = [
+        refine(changes, light, fit.begin_s, fit.x, fit.x[2:6], 30, 1e-6) if abs(fit.zero_s - best) < NEAR_S else fit
+        for fit in fits
+    ]
+    return fits, np.stack([offsets - min(fits, key=lambda fit: fit.cost).zero_s, losses])
+
+
+def _best_starts(changes: Changes, light: LogLight, peaks: np.ndarray) -> list[tuple[float, np.ndarray]]:
     """The best few (begin, parameters) of candidates × filters × shifts, thresholds by medians."""
     few = changes.select(slice(None, None, max(1, len(changes.time) // SCREENED)))
     on = few.sign > 0
@@ -151,7 +178,9 @@ def best_starts(changes: Changes, light: LogLight, peaks: np.ndarray) -> list[tu
         for peak in peaks:
             best = (np.inf, 0.0, start)
             for begin in peak + np.linspace(-1.5 * lag - 1e-3, 1e-3, 24):
-                moved = _moved(few, light, filtered, begin, start)
+                times = few.time - begin, few.begin + DEAD_S * start[4] - begin
+                end, first = (light.at(filtered, t, few.light)[0] for t in times)
+                moved = few.sign * (end - first)  # towards the event, in e-folds
                 x = np.array([*start[:5], *(np.log(max(_typical(moved[mine]), 0.02)) for mine in (on, ~on))])
                 cost = float(soft_loss(moved * np.where(on, np.exp(-x[5]), np.exp(-x[6])) - 1.0).mean())
                 best = min(best, (cost, begin, x), key=lambda entry: entry[0])
@@ -164,36 +193,11 @@ def _typical(moved: np.ndarray) -> float:
     return float(np.median(moved)) if len(moved) else 0.2
 
 
-def _moved(changes: Changes, light: LogLight, filtered: np.ndarray, begin: float, start: np.ndarray) -> np.ndarray:
-    """(n,) how far the filtered light has moved towards the event, in e-folds."""
-    grid = light.first_s + light.step_s * np.arange(light.log.shape[1])
-    out = np.zeros(len(changes.time))
-    for k, row in enumerate(filtered):
-        mine = changes.light == k
-        end, first = changes.time[mine] - begin, changes.begin[mine] + 1e-4 * start[4] - begin
-        out[mine] = changes.sign[mine] * (np.interp(end, grid, row) - np.interp(first, grid, row))
-    return out
-
-
-def scan_offsets(changes: Changes, light: LogLight, fit: Refined) -> tuple[np.ndarray, np.ndarray]:
-    """(begins, mean loss of the changes within the light) over all offsets with enough in it; elsewhere infinite."""
-    lasting = float(changes.time.max()), light.last_s - light.first_s
-    begins = fit.zero_s + np.arange(-SCANNED // 2, SCANNED // 2) * (2.0 * max(lasting) / SCANNED)
+def _scanned(changes: Changes, light: LogLight, fit: Refined) -> tuple[np.ndarray, np.ndarray]:
+    """(offsets, mean loss of the changes within the light), infinite where too few are in it."""
+    lasting = max(float(changes.time.max()), light.last_s - light.first_s)
+    offsets = fit.zero_s + np.arange(-SCANNED // 2, SCANNED // 2) * (2.0 * lasting / SCANNED)
     few = changes.select(slice(None, None, max(1, len(changes.time) // 800)))
-    loss, count = scan(few, light, light.filtered(fit.x[None, 2:6])[0], begins, fit.x)
+    loss, count = scan(few, light, light.filtered(fit.x[None, 2:6])[0], offsets, fit.x)
     enough = count >= max(LEAST_COMMON * count[SCANNED // 2], 20)
-    return begins, np.where(enough, loss / np.maximum(count, 1), np.inf)
-
-
-def lowest(begins: np.ndarray, losses: np.ndarray, best: float) -> list[float]:
-    lows, _ = find_peaks(-np.where(np.isfinite(losses), losses, 1.0))
-    return [float(begins[k]) for k in lows[np.argsort(losses[lows])][: RIVALS + 1] if begins[k] != best]
-
-
-def distinct(begins: Sequence[float], fits: Sequence[Refined]) -> list[float]:
-    """Those not within 0.3 ms of each other or of a refinement: each refinement moves freely by as much."""
-    kept: list[float] = []
-    for begin in begins:
-        if all(abs(begin - other) > 3e-4 for other in [*kept, *(fit.zero_s for fit in fits)]):
-            kept.append(begin)
-    return kept
+    return offsets, np.where(enough, loss / np.maximum(count, 1), np.inf)

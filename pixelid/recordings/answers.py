@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import SimpleNamespace
 from typing import IO, Any
 
 import numpy as np
@@ -20,21 +21,6 @@ from pixelid.recordings.triggers import COLUMNS as EDGE_COLUMNS
 from pixelid.recordings.triggers import Triggers
 from pixelid.stimuli.pixel_lights import PixelLights
 from pixelid.stimuli.stimulus import Stimulus
-
-
-class Counted:
-    """A pipe that counts what came through it."""
-
-    def __init__(self, pipe: IO[bytes]) -> None:
-        self._pipe, self.count = pipe, 0
-
-    def read(self, count: int = -1, /) -> bytes:
-        """So many bytes.  Raises EOFError where the pipe ends before."""
-        data = self._pipe.read(count)
-        self.count += len(data)
-        if len(data) < count:
-            raise EOFError
-        return data
 
 
 def taken_apart(recording: Recording) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
@@ -88,7 +74,8 @@ def send(pipe: IO[bytes], header: dict[str, Any], columns: Mapping[str, np.ndarr
     pipe.flush()
 
 
-def receive(pipe: Counted) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """The header of an answer and its columns.  Raises EOFError or ValueError where it is cut."""
+def receive(pipe: IO[bytes]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """The header of an answer and its columns.  Raises ValueError where it is cut."""
     header, names = json.loads(pipe.read(int.from_bytes(pipe.read(8), "little")))
-    return header, {name: np.lib.format.read_array(pipe, allow_pickle=False) for name in names}
+    unnamed: Any = SimpleNamespace(read=pipe.read)  # of real files NumPy asks for their place, which a pipe has not
+    return header, {name: np.lib.format.read_array(unnamed, allow_pickle=False) for name in names}

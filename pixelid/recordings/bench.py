@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from pixelid.documents import is_number
+from pixelid.documents import interpreting, is_number
 from pixelid.errors import InputError
 from pixelid.recordings.recording import Recording
 
@@ -59,14 +59,10 @@ def pixel_gains(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
     stated = recording.attributes.get(FIELD)
     if not isinstance(stated, Mapping):
         return np.empty(0, np.int64), np.empty(0)
-    try:
+    with interpreting(f"{recording.source or recording.name}: {FIELD}", "lists pixel and ln_gain of as many numbers"):
         pixels, gains = np.asarray(stated["pixel"], np.int64), np.asarray(stated["ln_gain"], float)
         if pixels.ndim != 1 or pixels.shape != gains.shape or not np.isfinite(gains).all():
-            raise ValueError
-    except (KeyError, TypeError, ValueError, OverflowError):
-        raise InputError(
-            f"{recording.source or recording.name}: {FIELD}: expected lists pixel and ln_gain of as many numbers"
-        ) from None
+            raise ValueError(f"shapes {pixels.shape} and {gains.shape}")
     return pixels, gains
 
 

@@ -49,10 +49,6 @@ class ClockPrior:
     rate_mean: float
     rate_sd: float
 
-    def as_dict(self) -> dict[str, float | None]:
-        """The entry `prior` of the recording's attribute `alignment`."""
-        return asdict(self)
-
 
 @dataclass(frozen=True)
 class AlignedClock:
@@ -86,29 +82,23 @@ def clock_of(recording: Recording) -> AlignedClock | None:
         raise InputError(f"{where}: offset_interval_95: expected two numbers, found {str(interval)[:40]!r}")
     half_s = 0.5 * abs(float(interval[1]) - float(interval[0]))
     offset_s, rate_error = (_number(told, name, where) for name in ("offset_s", "clock_rate_error"))
-    if told.get("prior") is None:  # files from before it was written
-        return AlignedClock(method, offset_s, rate_error, _unknown(recording), half_s)
-    prior, where = told["prior"], f"{where}.prior"
+    prior, light = told.get("prior"), recording.stimulus
+    if prior is None and light is not None:  # files from before it was written
+        middle = 0.5 * (light.start_s + light.end_s)
+        prior = asdict(ClockPrior(middle, light.duration_s, None, 0.0, CRYSTAL))
+    where = f"{where}.prior"
     if not isinstance(prior, Mapping):
         raise InputError(f"{where}: expected a JSON object, found {str(prior)[:40]!r}")
-    at_s, span_s, mean, sd = (_number(prior, name, where) for name in ("at_s", "span_s", "rate_mean", "rate_sd"))
-    delay_sd_s = None if prior.get("delay_sd_s") is None else _number(prior, "delay_sd_s", where)
-    for name, value in (("span_s", span_s), ("rate_sd", sd), ("delay_sd_s", 1.0 if delay_sd_s is None else delay_sd_s)):
-        if not value > 0:
-            raise InputError(f"{where}: {name}: expected a positive number, found {value:g}")
+    at_s, mean = (_number(prior, name, where) for name in ("at_s", "rate_mean"))
+    span_s, sd = (_number(prior, name, where, positive=True) for name in ("span_s", "rate_sd"))
+    delay_sd_s = None if prior.get("delay_sd_s") is None else _number(prior, "delay_sd_s", where, positive=True)
     return AlignedClock(method, offset_s, rate_error, ClockPrior(at_s, span_s, delay_sd_s, mean, sd), half_s)
 
 
-def _unknown(recording: Recording) -> ClockPrior:
-    assert recording.stimulus is not None
-    first, last = recording.stimulus.start_s, recording.stimulus.end_s
-    return ClockPrior(0.5 * (first + last), last - first, None, 0.0, CRYSTAL)
-
-
-def _number(table: Mapping[str, Any], name: str, where: str) -> float:
+def _number(table: Mapping[str, Any], name: str, where: str, positive: bool = False) -> float:
     value = table.get(name)
-    if not is_number(value) or not np.isfinite(value):
-        raise InputError(f"{where}: {name}: expected a number, found {str(value)[:40]!r}")
+    if not is_number(value) or not np.isfinite(value) or (positive and value <= 0):
+        raise InputError(f"{where}: {name}: expected a {'positive ' * positive}number, found {str(value)[:40]!r}")
     return float(value)
 
 

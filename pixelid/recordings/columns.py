@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 
@@ -16,10 +18,8 @@ INT64_MAX = int(np.iinfo(np.int64).max)
 def to_nanoseconds(t: np.ndarray, unit: str, where: str, offset: int = 0) -> np.ndarray:
     """(n,) int64 nanoseconds from (n,) integer times in `unit`, each later by `offset` units.
 
-    Raises InputError naming `where` for an unknown unit, non-integers, and times beyond 64 bits.
+    Raises InputError naming `where` for non-integers, and times beyond 64 bits.
     """
-    if unit not in NS_PER_UNIT:
-        raise InputError(f"{where}/t: expected unit {' or '.join(NS_PER_UNIT)}, found {unit!r}")
     if t.dtype.kind not in "iu":
         raise InputError(f"{where}/t: expected integers, found {t.dtype}")
     scale = NS_PER_UNIT[unit]
@@ -42,13 +42,34 @@ def floats_to_ns(t: np.ndarray, unit: str, where: str) -> np.ndarray:
     Raises InputError for NaN and times beyond 64 bits.
     """
     if not np.isfinite(t).all():
-        raise InputError(f"{where}/t: expected finite times, event {int(np.argmin(np.isfinite(t)))} has none")
+        raise InputError(
+            f"{where}/t: expected finite times, event {int(np.argmin(np.isfinite(t)))} has none; leave such rows out"
+        )
     nanoseconds = t.astype(np.float64) * NS_PER_UNIT[unit]
     if len(t) and np.abs(nanoseconds).max() >= 9.2e18:
         found = f"{np.abs(t).max():g} {unit}"
         raise InputError(f"{where}/t: expected times that fit 64 bits in nanoseconds, found {found}")
-    last = 10 ** math.ceil(math.log10(max(1.0, np.spacing(np.abs(nanoseconds).max(initial=0.0)))))
+    last = last_decimal_ns(float(np.spacing(np.abs(t).max(initial=0))), unit)
     return np.rint(nanoseconds / last).astype(np.int64) * last
+
+
+def last_decimal_ns(spacing: float, unit: str) -> int:
+    """The least power of ten, in ns, that floating times so far apart can carry."""
+    return 10 ** math.ceil(math.log10(max(1.0, spacing * NS_PER_UNIT[unit])))
+
+
+def word_pairs(path: Path, start: int, kind: str) -> Iterator[np.ndarray]:
+    """(n, 2) of two 32-bit numbers an event behind a header of `start` bytes, block by block.
+
+    Raises:
+        InputError: the file ends within an event.
+    """
+    if left := (path.stat().st_size - start) % 8:
+        raise InputError(f"{path}: expected 8 bytes per event after the header, found {left} left over")
+    with path.open("rb") as file:
+        file.seek(start)
+        while len(data := file.read(8 * PART_EVENTS)):
+            yield np.frombuffer(data, kind).reshape(-1, 2)
 
 
 class RepeatCounter:

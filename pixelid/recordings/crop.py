@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
@@ -11,41 +11,9 @@ from pixelid.errors import InputError
 from pixelid.recordings.columns import INT64_MAX
 from pixelid.recordings.events import Events
 from pixelid.recordings.kept import ATTRIBUTE, Kept, kept_of
-from pixelid.recordings.parts import Either, LongRecording, as_long, as_whole, like
+from pixelid.recordings.parts import Either, LongRecording, Totals, as_long, like
 from pixelid.recordings.recording import Recording
-from pixelid.stimuli.pixel_lights import Light, pixel_lights
-
-
-def crop(
-    recording: Recording,
-    *,
-    roi: tuple[int, int, int, int] | None = None,
-    time_s: tuple[float, float] | None = None,
-    pixels: int | None = None,
-    without: np.ndarray | None = None,
-    seed: int = 0,
-    from_first: bool = False,
-) -> Recording:
-    """The events inside a region, a span of time, and as many pixels as asked.
-
-    Args:
-        recording: that is cut.
-        roi: (x0, y0, x1, y1), columns x0 ≤ x < x1 and rows y0 ≤ y < y1; addresses stay as they are.
-        time_s: (from, to), seconds on the recording's clock; the light before `from` stays, the pixel remembers it.
-        pixels: how many of the pixels that have events, chosen at random by `seed`.
-        without: flat pixel indices to leave out, hot ones say.
-        seed: of the choice of pixels.
-        from_first: count `time_s` from the first event on.
-
-    Returns:
-        The recording with fewer events, and with a note of what was kept (`Kept`), everything else as before; of light
-        of each pixel's own that of the pixels left, in groups that share one.
-
-    Raises:
-        InputError: for a region outside the sensor, an empty span, and when no event is left of some.
-    """
-    cut = Crop(roi, time_s, pixels, from_first=from_first)
-    return as_whole(_cropped(as_long(recording), cut, np.empty(0, np.int64) if without is None else without, seed))
+from pixelid.stimuli.pixel_lights import pixel_lights
 
 
 def _nanoseconds(time_s: tuple[float, float] | None, since_ns: int) -> tuple[int, int] | None:
@@ -105,12 +73,6 @@ def _kept(recording: Recording, roi, span: tuple[int, int] | None, without: np.n
     return kept
 
 
-def _left(parts: Iterable[Events], roi, without: np.ndarray | None) -> int:
-    """How many pixels of a region have events at any time; of pixels that were chosen, all have."""
-    seen = [np.unique(events.pixel[_inside(events, roi, None, without)]) for events in parts]
-    return len(np.unique(np.concatenate(seen))) if seen else 0
-
-
 def _chosen(present: np.ndarray, pixels: int, seed: int, size: int) -> np.ndarray:
     """As many of the pixels that are `present` as asked, at random: the first in an order of all `size` of the sensor.
 
@@ -122,38 +84,24 @@ def _chosen(present: np.ndarray, pixels: int, seed: int, size: int) -> np.ndarra
     return present[np.argsort(place)[:pixels]]
 
 
-def _light_until(recording: Recording, span: tuple[int, int] | None) -> Light | None:
-    """The light up to the end of the span: what was before the span stays, the pixel remembers it."""
-    light = recording.stimulus
-    return light if light is None or span is None else light.until(span[1] * 1e-9)
-
-
-def _restricted(light: Light | None, events: Events, pixels: np.ndarray) -> Light | None:
-    """Light of each pixel's own for some pixels of the sensor only, in groups; full-field light as it is."""
-    if light is None or light.size != (events.width, events.height):
-        return light
-    grouped = pixel_lights(light, pixels)
-    return light if grouped is None else grouped.restricted(pixels)
-
-
-def _ends(so_far: Sequence[int], events: Events) -> list[int]:
-    """First and last time (ns) of the events so far and of those that follow; empty where there were none."""
-    return [*so_far[:1], *events.t[:1], *events.t[-1:]]
-
-
-def _nothing_left(name: str, events: int, ends: Sequence[int]) -> InputError:
-    span = f"{ends[0] * 1e-9:.3f} to {ends[-1] * 1e-9:.3f} s on its clock"
+def _nothing_left(name: str, totals: Totals) -> InputError:
+    span = f"{totals.ends[0] * 1e-9:.3f} to {totals.ends[-1] * 1e-9:.3f} s on its clock"
     return InputError(
-        f"{name}: no event is left of {events}, from {span} (--roi, --time, --pixels); --time +0:+0.5 counts from the "
-        "first event"
+        f"{name}: no event is left of {totals.events}, from {span} (--roi, --time, --pixels); --time +0:+0.5 counts "
+        "from the first event"
     )
 
 
 @dataclass(frozen=True)
 class Crop:
-    """A cut that several recordings get, as the options --roi, --time, --pixels and --without-hot-pixels say it.
+    """The events inside a region, a span of time, and as many pixels as asked; one cut for several recordings.
 
-    from_first: count `time_s` from each recording's first event on
+    Attributes:
+        roi: (x0, y0, x1, y1), columns x0 ≤ x < x1 and rows y0 ≤ y < y1; addresses stay as they are.
+        time_s: (from, to), seconds on the recording's clock; the light before `from` stays, the pixel remembers it.
+        pixels: how many of the pixels that have events, chosen at random.
+        without_hot_pixels: leave them out.
+        from_first: count `time_s` from each recording's first event on.
     """
 
     roi: tuple[int, int, int, int] | None = None
@@ -175,8 +123,12 @@ class Crop:
 
         One that does not lie in memory is read as often as this takes, and again with what is returned.
 
+        Returns:
+            The recording with fewer events, and with a note of what was kept (`Kept`), everything else as before; of
+            light of each pixel's own that of the pixels left, in groups that share one.
+
         Raises:
-            InputError: as `crop`.
+            InputError: for a region outside the sensor, an empty span, and when no event is left of some.
         """
         if self == Crop():
             return recording
@@ -190,12 +142,12 @@ def _hot_pixels(long: LongRecording) -> np.ndarray:
     from pixelid.inspection.hot_pixels import hot_of_counts
 
     width, height = long.head.events.width, long.head.events.height
-    counts, ends = np.zeros(width * height, np.int64), []
+    counts, totals = np.zeros(width * height, np.int64), Totals()
     for part in long.read():
         counts += np.bincount(part.events.pixel, minlength=len(counts))
-        ends = _ends(ends, part.events)
-    seconds = float(ends[-1] - ends[0]) * 1e-9 if ends else 0.0
-    return np.array([p.y * width + p.x for p in hot_of_counts(counts.reshape(height, width), seconds)], np.int64)
+        totals.add(part)
+    hot = hot_of_counts(counts.reshape(height, width), totals.duration_s)
+    return np.array([p.y * width + p.x for p in hot], np.int64)
 
 
 def _cropped(long: LongRecording, crop: Crop, hot: np.ndarray, seed: int) -> LongRecording:
@@ -206,38 +158,42 @@ def _cropped(long: LongRecording, crop: Crop, hot: np.ndarray, seed: int) -> Lon
     span = _nanoseconds(crop.time_s, since)
     _inside(head.events, roi, span, None)  # refuses what cannot be
     size = head.events.width * head.events.height
-    light, kept = _light_until(head, span), _kept(head, roi, span, hot)
+    light, kept = head.stimulus, _kept(head, roi, span, hot)
+    if light is not None and span is not None:  # what was before the span stays, the pixel remembers it
+        light = light.until(span[1] * 1e-9)
     own = light is not None and light.size == (head.events.width, head.events.height)
     chosen: np.ndarray | None = None
     if crop.pixels is not None or (roi is not None and own):
-        seen, events, ends = np.zeros(size, bool), 0, []
+        seen, totals = np.zeros(size, bool), Totals()
         for part in _before_end(long.read(), span):
-            ends = _ends(ends, part.events)
+            totals.add(part)
             seen[part.events.pixel[_inside(part.events, roi, span, hot)]] = True
-            events += len(part.events)
-        if events and not seen.any():
-            raise _nothing_left(long.name, events, ends)
+        if totals.events and not seen.any():
+            raise _nothing_left(long.name, totals)
         chosen = seen
         if crop.pixels is not None:
             chosen = np.zeros(size, bool)
             chosen[_chosen(np.flatnonzero(seen), crop.pixels, seed, size)] = True
             kept = replace(kept, pixels=int(chosen.sum()))
-        light = _restricted(light, head.events, np.flatnonzero(chosen))
-    if kept.pixels is not None and crop.pixels is None:
-        kept = replace(kept, pixels=_left((part.events for part in long.read()), roi, hot))
-    noted = {**head.attributes, ATTRIBUTE: kept.as_dict()}
+        left = np.flatnonzero(chosen)
+        if light is not None and own and (grouped := pixel_lights(light, left)) is not None:
+            light = grouped.restricted(left)
+    if kept.pixels is not None and crop.pixels is None:  # of pixels that were chosen, all have events at some time
+        fired = [np.unique(part.events.pixel[_inside(part.events, roi, None, hot)]) for part in long.read()]
+        kept = replace(kept, pixels=len(np.unique(np.concatenate(fired))) if fired else 0)
+    noted = {**head.attributes, ATTRIBUTE: asdict(kept)}
 
     def cropped() -> Iterator[Recording]:
-        events, left, ends = 0, 0, []
+        totals, left = Totals(), 0
         for part in _before_end(long.read(), span):
             keep = _inside(part.events, roi, span, hot)
             if chosen is not None:
                 keep &= chosen[part.events.pixel]
-            events, left = events + len(keep), left + int(np.count_nonzero(keep))
-            ends = _ends(ends, part.events)
+            totals.add(part)
+            left += int(np.count_nonzero(keep))
             yield replace(part, events=part.events.select(keep), stimulus=light, attributes=noted)
-        if events and not left:
-            raise _nothing_left(long.name, events, ends)
+        if totals.events and not left:
+            raise _nothing_left(long.name, totals)
 
     return LongRecording(replace(head, stimulus=light, attributes=noted), cropped)
 

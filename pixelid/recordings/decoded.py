@@ -1,25 +1,26 @@
-"""Camera makers' files: AEDAT4 and ES by the library faery, Prophesee's by `evt` and `dat`."""
+"""Camera makers' files: AEDAT4 and ES by the library faery, Prophesee's by `evt`."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
-from itertools import islice
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 
-from pixelid.errors import InputError, first_line
-from pixelid.recordings import dat, evt
+from pixelid.errors import InputError
+from pixelid.recordings import evt
 from pixelid.recordings.bias_files import biases_beside
 from pixelid.recordings.columns import PART_EVENTS, to_nanoseconds
+from pixelid.recordings.damage import refusing
 from pixelid.recordings.events import Events
 from pixelid.recordings.raw import Block, RawEvents
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.rules import chosen_name
-from pixelid.recordings.source import ReadingOptions, size_of_chip
+from pixelid.recordings.source import ReadingOptions
+from pixelid.recordings.statements import Likely, Size, stated_size
 from pixelid.recordings.triggers import Triggers
 
 Packet = TypeVar("Packet")
@@ -28,18 +29,7 @@ TYPES: dict = {".aedat4": "aedat", ".raw": "evt", ".dat": "dat", ".es": "es"}
 AEDAT_EDGES = {1: True, 2: False, 3: True}  # external signal: rising edge, falling edge, pulse
 NO_SIZE = (65535, 65535)  # of a file that states none
 MOST_PACKETS = 1 << 14  # of a part: packets of frames and samples hold no events
-VERSIONS = {
-    "2.0": "2.0",
-    "2.1": "2.1",
-    "3.0": "3.0",
-    "2": "2.0",
-    "3": "3.0",
-    "EVT2": "2.0",
-    "EVT21": "2.1",
-    "EVT3": "3.0",
-}
-
-
+VERSIONS = {"2": "2.0", "20": "2.0", "21": "2.1", "3": "3.0", "30": "3.0"}  # of EVT, by their digits
 # Sizes by the system number of older headers (Prophesee's OpenEB, `psee_raw_file_header.cpp` and `device_system_id.h`).
 VGA_SYSTEMS = (0x15, 0x1C, 0x17, 0x19, 0x1D, 0x23, 0x21, 0x97, 0x99, 0xA1)
 HD_SYSTEMS = (0x1A, 0x1E, 0x20, 0x2E, 0x9A)
@@ -61,31 +51,32 @@ def opened(path: Path, options: ReadingOptions) -> RawEvents:
     raw = RawEvents(head, lambda: iter(()), f"{path}: events", "us", 1000, polarity="01")
     if kind == "aedat":
         return _aedat(path, raw, options)
-    size, likely = _sizes(header)
+    size, likely = _sizes(header, f"{path}: header")
     if kind == "evt":
-        return replace(raw, blocks=lambda: decode_evt(path, path), size=size, likely_sizes=likely)
+        return replace(raw, blocks=lambda: _evt(path, header, start), size=size, likely_sizes=likely)
     if kind == "dat" and header.get("Version") == "2":
-        return replace(
-            raw, blocks=lambda: (Block.of(c) for c in dat.decode(path, start)), size=size, likely_sizes=likely
-        )
+        return replace(raw, blocks=lambda: evt.decode_dat(path, start), size=size, likely_sizes=likely)
     wide, high = size
     return _others(path, kind, raw, None if wide is None or high is None else (wide, high))
 
 
-def decode_evt(path: Path, named: Path) -> Iterator[Block]:
-    """Blocks of a Prophesee RAW file; errors name the file `named`.
+def _evt(path: Path, header: dict[str, str], start: int) -> Iterator[Block]:
+    """Blocks of a Prophesee RAW file.
 
     Raises:
         InputError: when the file cannot be decoded.
     """
-    header, start = _header(path)
     stated, *more = header.get("format", "").split(";")
-    version = VERSIONS.get(header.get("evt", "") or stated.upper())
+    found = header.get("evt", "") or stated.upper()
+    version = VERSIONS.get(found.removeprefix("EVT").replace(".", ""))
     if version is None:
-        found = header.get("evt") or stated.upper() or "none"
-        raise InputError(f"{named}: expected EVT 2.0, 2.1 or 3.0 in the header, found {found[:40]}")
+        raise InputError(
+            f"{path}: expected EVT 2.0, 2.1 or 3.0 in the header, found {found[:40] or 'none'}; add a line: % evt 3.0"
+        )
     order = next((word.partition("=")[2] for word in more if word.startswith("endianness=")), "")
-    yield from evt.decode(path, start, version, named, order == "legacy" if order else None)
+    with path.open("rb") as file:
+        file.seek(start)
+        yield from evt.decode(file, version, path, order == "legacy" if order else None)
 
 
 def _aedat(path: Path, raw: RawEvents, options: ReadingOptions) -> RawEvents:
@@ -100,19 +91,15 @@ def _aedat(path: Path, raw: RawEvents, options: ReadingOptions) -> RawEvents:
                     yield track, packet
 
     tracks: list = []
-    for _ in islice(checked_packets(lambda: packets(("events",), tracks), path), 1):
-        pass
+    next(checked_packets(lambda: packets(("events",), tracks), path), None)
     streams = {str(track.id): track for track in tracks if track.data_type == "events"}
     if not streams:
         raise InputError(f"{path}: expected a stream of events, found {', '.join(t.data_type for t in tracks)}")
+    filled = set(list(streams)[:1])
     if options.stream is None and len(streams) > 1:
-        counts = dict.fromkeys(streams, 0)
-        for track, packet in checked_packets(lambda: packets(("events",), []), path):
-            counts[str(track.id)] += len(packet)
-        found = {name: count for name, count in counts.items() if count}
-    else:
-        found = dict.fromkeys(list(streams)[:1], 1)
-    name = chosen_name(list(found), list(streams), options, str(path))
+        every = checked_packets(lambda: packets(("events",), []), path)
+        filled = {str(track.id) for track, packet in every if len(packet)}
+    name = chosen_name([name for name in streams if name in filled], list(streams), options, str(path))
 
     def blocks() -> Iterator[Block]:
         def mine(entry: tuple):
@@ -129,7 +116,7 @@ def _aedat(path: Path, raw: RawEvents, options: ReadingOptions) -> RawEvents:
                 triggers = Triggers.from_columns(
                     nanoseconds, rising, np.zeros(len(every), np.uint8), where=f"{path}: triggers"
                 )
-            yield Block.of(_columns([packet for packet in map(mine, batch) if packet is not None]), triggers)
+            yield Block.of(_columns(list(map(mine, batch))), triggers)
 
     names = tuple(streams) if len(streams) > 1 else ()
     return replace(raw, blocks=blocks, size=streams[name].dimensions, streams=names)
@@ -156,15 +143,8 @@ def _others(path: Path, kind, raw: RawEvents, size: tuple[int, int] | None) -> R
 
 def checked_packets(packets: Callable[[], Iterator], path: Path) -> Iterator:
     """What `packets` yields; whatever the decoder raises becomes an InputError."""
-    try:
+    with refusing(path, "cannot be decoded; truncated, or not the format of its extension", Exception):
         yield from packets()
-    except InputError:
-        raise
-    except (Exception, SystemError) as error:
-        reason = first_line(error)[:120]
-        raise InputError(
-            f"{path}: cannot be decoded; truncated, or not the format of its extension ({reason})"
-        ) from None
 
 
 def _batches(packets: Iterable[Packet], events_of: Callable[[Packet], np.ndarray | None]) -> Iterator[list[Packet]]:
@@ -208,19 +188,12 @@ def _header(path: Path) -> tuple[dict[str, str], int]:
     return header, start
 
 
-def _sizes(header: dict[str, str]) -> tuple[tuple[int | None, int | None], tuple]:
+def _sizes(header: dict[str, str], where: str) -> tuple[Size, Likely]:
     """Sensor size that a header states, or what its sensor's generation, system number or plugin suggest."""
-    text = " ".join(f"{name} {value}" for name, value in header.items())
-    if found := re.search(r"geometry (\d+)x(\d+)", text):
-        return (int(found.group(1)), int(found.group(2))), ()
-    width, height = re.search(r"width[= ](\d+)", text, re.I), re.search(r"height[= ](\d+)", text, re.I)
-    if width and height:
-        return (int(width.group(1)), int(height.group(1))), ()
-    generation = re.search(r"(gen\d|imx6[34][67]|genx320)", text, re.I)
-    generation = generation.group(1) if generation else f"gen{header.get('sensor_generation', '')}"
-    if (size := size_of_chip(generation)) is not None:
-        return (None, None), ((size, f" of the sensor ({generation})"),)
-    system = header.get("system_ID", "")
-    number = int(system) if system.isdecimal() and len(system) < 6 else -1
-    size = (640, 480) if number in VGA_SYSTEMS else (1280, 720) if number in HD_SYSTEMS else None
-    return (None, None), () if size is None else ((size, f" of the maker's system {number}"),)
+    words = dict(word.split("=", 1) for word in header.get("format", "").split(";") if "=" in word)
+    stated = {"sensor": f"gen{header.get('sensor_generation', '')}", **header, **words}
+    values = {name: int(value) if value.isdecimal() and len(value) < 6 else value for name, value in stated.items()}
+    size, likely = stated_size([values], where)
+    number = values.get("system_ID")
+    system = (640, 480) if number in VGA_SYSTEMS else (1280, 720) if number in HD_SYSTEMS else None
+    return size, likely if system is None else (*likely, (system, f" of the maker's system {number}"))

@@ -1,5 +1,5 @@
 """Prophesee's EVT 2.0, 2.1 and 3.0: little-endian words of 32, 64 and 16 bits (docs.prophesee.ai, "Data Encoding
-Formats").
+Formats"); and DAT.
 
 EVT 2.0, from the highest bit: type (4), then for events (0 OFF, 1 ON) the low 6 bits of the time [µs], column (11) and
 row (11).  Type 8 carries the high 28 bits of the time; type 10 an edge at a trigger input: low 6 bits of the time,
@@ -19,14 +19,17 @@ which the check of the times refuses.
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from numba import njit
 
 from pixelid.errors import InputError
+from pixelid.recordings.columns import Rollovers, word_pairs
 from pixelid.recordings.raw import Block
 from pixelid.recordings.triggers import Triggers
 
@@ -34,14 +37,14 @@ WORDS_AT_ONCE = 1 << 18  # up to 32 events each
 UNKNOWN = -1
 STATE = 6  # high part with rollovers, low part, row, first column of vectors, their polarity, rollovers
 TIME_HIGH = 8  # type of words
+DAT_KINDS = (0x00, 0x0C)  # of events of pixels
 
 
-def decode(path: Path, start: int, version: str, named: Path, swapped: bool | None = None) -> Iterator[Block]:
+def decode(file: BinaryIO, version: str, named: Path, swapped: bool | None = None) -> Iterator[Block]:
     """Blocks of events, times in µs, with trigger edges; what comes before the first time is left out.
 
     Args:
-        path: the file.
-        start: byte at which its words begin.
+        file: open where its words begin.
         version: of `FORMATS`.
         named: whom errors name.
         swapped: of EVT 2.1, whether the high half of each word comes first; None: the first words show it.
@@ -49,35 +52,59 @@ def decode(path: Path, start: int, version: str, named: Path, swapped: bool | No
     Raises:
         InputError: the file ends within a word, or holds words of unknown meaning only.
     """
-    form = FORMATS[version]
-    if left := (path.stat().st_size - start) % form.size:
+    form, start = FORMATS[version], file.tell()
+    if left := (file.seek(0, io.SEEK_END) - start) % form.size:
         raise InputError(f"{named}: expected words of {form.size} bytes after the header, found {left} bytes left over")
+    file.seek(start)
     state, seen, known = np.full(STATE, UNKNOWN, np.int64), 0, 0
     state[STATE - 1] = 0
-    with path.open("rb") as file:
-        file.seek(start)
-        while len(data := file.read(form.size * WORDS_AT_ONCE)):
-            words = np.frombuffer(data, f"<u{form.size}")
-            if form.halves:
-                other = (words << np.uint64(32)) | (words >> np.uint64(32))
-                swapped = _times(other) > _times(words) if swapped is None else swapped
-                words = other if swapped else words
-            kinds = (words >> words.dtype.type(8 * form.size - 4)).astype(np.uint8)
-            known += int(np.isin(kinds, form.known).sum())
-            seen += len(words)
-            most = form.most(words, kinds)
-            t, x, y = np.empty((3, most), np.int64)
-            p = np.empty(most, np.uint8)
-            edges = np.empty((3, len(words)), np.int64)
-            events, count = form.read(words, state, 1 << form.high_bits, t, x, y, p, edges)
-            found = None
-            if count:
-                when, channel, rising = edges[:, :count]
-                where = f"{named}: triggers"
-                found = Triggers.from_columns(when * 1000, rising, channel.astype(np.uint8), where=where)
-            yield Block(t[:events], x[:events], y[:events], p[:events], found)
+    while len(data := file.read(form.size * WORDS_AT_ONCE)):
+        words = np.frombuffer(data, f"<u{form.size}")
+        if form.halves:
+            other = (words << np.uint64(32)) | (words >> np.uint64(32))
+            swapped = _times(other) > _times(words) if swapped is None else swapped
+            words = other if swapped else words
+        kinds = (words >> words.dtype.type(8 * form.size - 4)).astype(np.uint8)
+        known += int(np.isin(kinds, form.known).sum())
+        seen += len(words)
+        if form.size == 4:  # as words of 2.1, each of one pixel
+            words = words.astype(np.uint64) << np.uint64(32) | np.uint64(1)
+        t, x, y = np.empty((3, form.most * len(words)), np.int64)
+        p = np.empty(len(t), np.uint8)
+        edges = np.empty((3, len(words)), np.int64)
+        events, count = form.read(words, state, 1 << form.high_bits, t, x, y, p, edges)
+        found = None
+        if count:
+            when, channel, rising = edges[:, :count]
+            where = f"{named}: triggers"
+            found = Triggers.from_columns(when * 1000, rising, channel.astype(np.uint8), where=where)
+        yield Block.of((column[:events].copy() for column in (t, x, y, p)), found)
     if seen and not known:
         raise InputError(f"{named}: expected words of EVT {version}, found none in {seen}")
+
+
+def decode_dat(path: Path, start: int) -> Iterator[Block]:
+    """Blocks of a DAT file of version 2: 8 bytes per event after a byte each for the kind of event and its size.
+
+    Time [µs], which rolls over after 71 minutes, then from the lowest bit column (14), row (14) and polarity (4)
+    (docs.prophesee.ai, "DAT File Format").
+
+    Args:
+        path: the file.
+        start: byte after the header's lines.
+
+    Raises:
+        InputError: other kinds of events, or a file that ends within one.
+    """
+    with path.open("rb") as file:
+        file.seek(start)
+        kind = file.read(2)
+    if len(kind) < 2 or kind[0] not in DAT_KINDS or kind[1] != 8:
+        raise InputError(f"{path}: expected events of 8 bytes, kind 12, after the header, found {list(kind)}")
+    clock = Rollovers(1 << 32)
+    for words in word_pairs(path, start + 2, "<u4"):
+        address = words[:, 1]
+        yield Block(clock.undone(words[:, 0]), address & 0x3FFF, address >> 14 & 0x3FFF, address >> 28)
 
 
 def _times(words: np.ndarray) -> int:
@@ -98,35 +125,18 @@ def _evt2(words, state, span, t, x, y, p, edges):
     """Fill the columns and edges (time, input, rising); returns how many of each."""
     n = m = 0
     for word in words:
-        kind = word >> 28
-        if kind == 0x8:
-            _unrolled(np.int64(word & 0xFFFFFFF), state, span)
-        elif state[0] >= 0 and kind <= 0x1:
-            t[n] = (state[0] << 6) | ((word >> 22) & 0x3F)
-            x[n], y[n], p[n] = (word >> 11) & 0x7FF, word & 0x7FF, kind
-            n += 1
-        elif state[0] >= 0 and kind == 0xA:
-            edges[0, m] = (state[0] << 6) | ((word >> 22) & 0x3F)
-            edges[1, m], edges[2, m] = (word >> 8) & 0x1F, word & 1
-            m += 1
-    return n, m
-
-
-@njit(cache=True, nogil=True)
-def _evt21(words, state, span, t, x, y, p, edges):
-    """Fill the columns and edges (time, input, rising); returns how many of each."""
-    n = m = 0
-    for word in words:
         high, mask = np.int64(word >> np.uint64(32)), np.int64(word & np.uint64(0xFFFFFFFF))
         kind = high >> 28
         if kind == 0x8:
             _unrolled(high & 0xFFFFFFF, state, span)
         elif state[0] >= 0 and kind <= 0x1:
-            for bit in range(32):
+            bit = 0
+            while mask >> bit:
                 if (mask >> bit) & 1:
                     t[n] = (state[0] << 6) | ((high >> 22) & 0x3F)
                     x[n], y[n], p[n] = ((high >> 11) & 0x7FF) + bit, high & 0x7FF, kind
                     n += 1
+                bit += 1
         elif state[0] >= 0 and kind == 0xA:
             edges[0, m] = (state[0] << 6) | ((high >> 22) & 0x3F)
             edges[1, m], edges[2, m] = (high >> 8) & 0x1F, high & 1
@@ -175,19 +185,18 @@ def _evt3(words, state, span, t, x, y, p, edges):
 @dataclass(frozen=True)
 class _Format:
     """size: bytes of a word;  high_bits: of the time, after which its high part rolls over;  known: types of words
-    most: events in words of these types at most;  halves: whether the halves of a word may be exchanged"""
+    most: events in a word;  halves: whether the halves of a word may be exchanged"""
 
     size: int
     high_bits: int
     known: tuple[int, ...]
     read: Callable
-    most: Callable[[np.ndarray, np.ndarray], int]
+    most: int
     halves: bool = False
 
 
 FORMATS = {
-    "2.0": _Format(4, 28, (0x0, 0x1, 0x8, 0xA), _evt2, lambda words, kinds: len(words)),
-    "2.1": _Format(8, 28, (0x0, 0x1, 0x8, 0xA), _evt21, lambda words, kinds: 32 * int((kinds <= 1).sum()), halves=True),
-    "3.0": _Format(2, 12, (0x0, 0x2, 0x3, 0x4, 0x5, 0x6, 0x8, 0xA), _evt3, lambda words, kinds: int(
-        (kinds == 2).sum() + 12 * (kinds == 4).sum() + 8 * (kinds == 5).sum())),
-}  # fmt: skip
+    "2.0": _Format(4, 28, (0x0, 0x1, 0x8, 0xA), _evt2, 1),
+    "2.1": _Format(8, 28, (0x0, 0x1, 0x8, 0xA), _evt2, 32, halves=True),
+    "3.0": _Format(2, 12, (0x0, 0x2, 0x3, 0x4, 0x5, 0x6, 0x8, 0xA), _evt3, 12),
+}

@@ -2,30 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pixelid.figures.style import INK, OFF, ON, new_axes, styled
-from pixelid.recordings.events import Events
-from pixelid.stimuli.pixel_lights import Light
+
+if TYPE_CHECKING:
+    from pixelid.recordings.recording import Recording
 
 BINS = 200
 
 
-class Shown(Protocol):
-    """What is drawn of a recording."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def events(self) -> Events: ...
-    @property
-    def stimulus(self) -> Light | None: ...
-
-
 @styled
-def draw_recording(recording: Shown) -> np.ndarray:
+def draw_recording(recording: Recording) -> np.ndarray:
     """Event rates, ON up and OFF down, and below them the light when it is known: axes (rows, 1)."""
     events, stimulus = recording.events, recording.stimulus
     time_s = events.t * 1e-9

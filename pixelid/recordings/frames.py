@@ -8,27 +8,26 @@ does change them: `dark`, the grey level of no light, is subtracted.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from pixelid.errors import InputError
-from pixelid.recordings.events import Events
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.sensor_light import ATTRIBUTE, FRAMES
 from pixelid.stimuli.pixel_lights import UNKNOWN, PixelLights
 from pixelid.stimuli.stimulus import Stimulus
 
-EXPOSURES = "exposures_us"  # of what `read` gives: begin and end of each frame's
 NOTHING = 0.5  # stands for grey level 0, since light is positive
 FULL = {"L": 255, "L16": 65535}  # grey level that clips, by the format of the frames
 LEAST_ABOVE_DARK = 1.0  # grey level above `dark` that tells a light: rounding is 0.3 of a level
 MOST_VALUES = 250_000_000  # of all frames in memory, 1 GB
 
 
-def read(path: Path) -> Recording:
-    """Frames as a video of grey levels (n, height, width) at the middles of their exposures [s], without events.
+def frames(path: Path) -> Iterator[dict[str, np.ndarray]]:
+    """What the reading process does: `levels` (n, height, width), `exposures_us` (n, 2) begin and end, `full` (1,).
 
     Raises:
         InputError: the file cannot be decoded or has fewer than two grey frames with an exposure.
@@ -43,28 +42,21 @@ def read(path: Path) -> Recording:
                 if hasattr(packet, "exposure_end_t"):
                     yield packet
 
-    frames: list[tuple[int, int, np.ndarray, str]] = []
+    levels: list[np.ndarray] = []
+    edges: list[tuple[int, int]] = []
+    full = 255
     for frame in checked_packets(packets, path):
         begin, end, pixels = int(frame.exposure_start_t), int(frame.exposure_end_t), frame.pixels
-        if (
-            end <= begin
-            or pixels.ndim != 2
-            or (frames and (begin <= frames[-1][0] or pixels.shape != frames[0][2].shape))
-        ):
+        if end <= begin or pixels.ndim != 2 or (edges and (begin <= edges[-1][0] or pixels.shape != levels[0].shape)):
             continue
-        if (len(frames) + 1) * pixels.size > MOST_VALUES:
+        if (len(levels) + 1) * pixels.size > MOST_VALUES:
             raise InputError(f"{path}: frames: more than fit {MOST_VALUES:.0e} grey levels; record fewer")
-        frames.append((begin, end, np.array(pixels), str(frame.format)))
-    if len(frames) < 2:
-        raise InputError(f"{path}: --stimulus frames: expected two grey frames or more, found {len(frames)}")
-    full = FULL.get(frames[0][3], 255)
-    levels = np.stack([np.maximum(pixels, NOTHING) for _, _, pixels, _ in frames]).astype(np.float32)
-    edges = [[begin, end] for begin, end, _, _ in frames]
-    middle = np.array([0.5e-6 * (begin + end - sum(edges[0])) for begin, end in edges])
-    height, width = levels.shape[1:]
-    return Recording(
-        Events.empty(width, height), Stimulus(middle, levels), source=path, attributes={EXPOSURES: edges, "full": full}
-    )
+        full = full if edges else FULL.get(str(frame.format), 255)
+        levels.append(np.array(pixels))
+        edges.append((begin, end))
+    if len(levels) < 2:
+        raise InputError(f"{path}: --stimulus frames: expected two grey frames or more, found {len(levels)}")
+    yield {"levels": np.stack(levels), "exposures_us": np.array(edges), "full": np.array([full])}
 
 
 def with_frames(recording: Recording, dark: float = 0.0) -> Recording:
@@ -75,31 +67,30 @@ def with_frames(recording: Recording, dark: float = 0.0) -> Recording:
     Raises:
         InputError: a file that is not AEDAT4, has no frames, or no pixel whose light they show.
     """
-    from pixelid.recordings.isolated import read_isolated
+    from pixelid.recordings.isolated import arrays_isolated
 
     path = recording.source
     if path is None or path.suffix.lower() != ".aedat4":
         raise InputError(f"{recording.name}: --stimulus frames: expected an AEDAT4 file with frames")
-    shown = read_isolated("frames", path)
-    video, edges = shown.stimulus, np.array(shown.attributes[EXPOSURES], np.int64)
-    events = recording.events
-    if not isinstance(video, Stimulus) or video.size != (events.width, events.height):
+    (shown,) = arrays_isolated("frames", path, single=True)
+    levels, edges, events = shown["levels"], shown["exposures_us"], recording.events
+    if levels.shape[1:] != (events.height, events.width):
         raise InputError(f"{path}: frames: expected {events.width} x {events.height} pixels, as of the events")
-    levels = video.radiance.reshape(len(video.t), -1)
+    levels = np.maximum(levels.reshape(len(levels), -1), NOTHING).astype(np.float32)
     lowest, highest = levels.min(axis=0), levels.max(axis=0)
-    told = np.flatnonzero((lowest - dark >= LEAST_ABOVE_DARK) & (highest < shown.attributes["full"]))
+    told = np.flatnonzero((lowest - dark >= LEAST_ABOVE_DARK) & (highest < shown["full"]))
     if not len(told):
         raise InputError(f"{path}: frames: every pixel clips or is as dark as {dark:g} in some frame")
     seconds = 1e-6 * (edges[:, 1] - edges[:, 0])
     lights = (levels[:, told] - dark) / seconds[:, None]
     of_pixel = np.full(levels.shape[1], UNKNOWN, np.int32)
     of_pixel[told] = np.arange(len(told))
-    zero_ns = 500 * int(edges[0].sum())
+    middle, zero_ns = 0.5e-6 * (edges.sum(axis=1) - edges[0].sum()), 500 * int(edges[0].sum())
     since = events.t - zero_ns
-    inside = (since >= 0) & (since <= video.t[-1] * 1e9) & (of_pixel[events.pixel] != UNKNOWN)
+    inside = (since >= 0) & (since <= middle[-1] * 1e9) & (of_pixel[events.pixel] != UNKNOWN)
     kept = events.select(inside)
     grouped = PixelLights.of_groups(
-        [Stimulus(video.t, np.ascontiguousarray(column, np.float64)) for column in lights.T],
+        [Stimulus(middle, np.ascontiguousarray(column, np.float64)) for column in lights.T],
         of_pixel.reshape(events.height, events.width),
     )
     attributes = {**recording.attributes, ATTRIBUTE: FRAMES, "dark_grey_level": dark, "zero_ns": zero_ns}

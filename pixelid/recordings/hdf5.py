@@ -26,9 +26,10 @@ from typing import Any
 
 import numpy as np
 
-from pixelid.errors import InputError, first_line, shown
+from pixelid.errors import InputError, shown
 from pixelid.recordings.bias_files import biases_beside
 from pixelid.recordings.columns import to_nanoseconds
+from pixelid.recordings.damage import refusing
 from pixelid.recordings.events import Events
 from pixelid.recordings.layouts import Arrays, Stream, chosen_stream
 from pixelid.recordings.metadata import FORMAT, MOST_SIZE, MOST_TICK_NS, VERSION, assemble, whole, yes_or_no
@@ -37,12 +38,12 @@ from pixelid.recordings.recording import Recording
 from pixelid.recordings.source import ReadingOptions
 from pixelid.recordings.statements import stated_size, stated_unit
 from pixelid.recordings.triggers import COLUMNS, Triggers
-from pixelid.stimuli.pixel_lights import light_from_arrays
 
 PIECE, WHOLE = 1 << 20, 1 << 22  # events taken at once; a compressed piece of more is taken once, with all others
+DAMAGED = "truncated or damaged HDF5"
 MOST_OBJECTS = 1000  # groups of a file
 SMALL_BYTES, MOST_RATIO = 1 << 26, 2000  # deflate compresses a thousandfold at most
-USUAL_LIGHT = (("unit", "relative"), ("interpolation", "linear"))
+EDGES = ("t", "p", "id")  # of a record of Prophesee's trigger edges
 NAMED = {"format", "version", "condition", "sensor", "pooled"}
 MILLISECONDS = ("ms_to_idx", "ms_map_idx")  # for every millisecond, the first event: so times are µs
 MILLISECOND_SIZES = (640, 480), (1280, 720)  # DSEC, EDS, VECtor; TUM-VIE
@@ -54,13 +55,11 @@ FILTERS = {0x8ECF: "ECF (Prophesee's plugin: set HDF5_PLUGIN_PATH, or convert wi
 def opened(path: Path, options: ReadingOptions) -> RawEvents:
     """What an HDF5 file holds; raises InputError for anything that docs/formats.md does not allow."""
     import h5py
-
-    with contextlib.suppress(ImportError):
-        import hdf5plugin  # noqa: F401  # registers its filters
+    import hdf5plugin  # noqa: F401  # registers its filters
 
     if not h5py.is_hdf5(path):
         raise InputError(f"{path}: expected an HDF5 file, found something else")
-    with _damage(path), contextlib.ExitStack() as stack:
+    with refusing(path, DAMAGED, OSError), contextlib.ExitStack() as stack:
         file = stack.enter_context(h5py.File(path, "r"))
         refuse_foreign_storage(file, path)
         attributes, own, pooled = _attributes(file, path)
@@ -69,28 +68,18 @@ def opened(path: Path, options: ReadingOptions) -> RawEvents:
         return replace(raw, close=file.close)
 
 
-@contextlib.contextmanager
-def _damage(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise InputError(f"{path}: truncated or damaged HDF5 ({first_line(error)[:120]})") from error
-
-
 def _own(file, path: Path, attributes: dict, pooled: bool) -> RawEvents:
     """The project's own format, which states everything."""
+    labels = {name: str(attributes.get(name, "")) for name in ("condition", "sensor")}
+    meta = {**labels, "pooled": pooled, "attributes": {k: v for k, v in attributes.items() if k not in NAMED}}
     triggers = light = None
     if "triggers" in file:
         columns = _columns(file, path, "triggers", COLUMNS)
         triggers = Triggers.from_columns(*(columns[name][:] for name in COLUMNS), where=f"{path}: triggers")
     if "stimulus" in file:
-        columns, stated = _columns(file, path, "stimulus", ("t", "radiance")), file["stimulus"].attrs
-        light_is: list[Any] = [_attribute(stated.get(name, usual)) for name, usual in USUAL_LIGHT]
-        arrays = {name: column[:] for name, column in columns.items()}
-        light = light_from_arrays(arrays, *light_is, f"{path}: stimulus")
-    labels = {name: str(attributes.get(name, "")) for name in ("condition", "sensor")}
-    meta = {**labels, "pooled": pooled, "attributes": {k: v for k, v in attributes.items() if k not in NAMED}}
-    head = replace(assemble(meta, Events.empty(1, 1), None, path, str(path)), stimulus=light, triggers=triggers)
+        meta["stimulus"] = {name: _attribute(value) for name, value in file["stimulus"].attrs.items()}
+        light = {name: column[:] for name, column in _columns(file, path, "stimulus", ("t", "radiance")).items()}
+    head = replace(assemble(meta, Events.empty(1, 1), light, path, str(path)), triggers=triggers)
     duplicates, exposures = None, None
     if not pooled and "events" in file:
         value = file["events"].attrs.get("duplicates", 0)
@@ -156,8 +145,8 @@ def _foreign(file, path: Path, attributes: dict, options: ReadingOptions) -> Raw
     where = f"{path}: {stream.name}"
     by_layout = any(name in one for one in groups for name in MILLISECONDS) or stream.name == "CD/events"
     holders = [_entries(one) for one in groups]
-    own = {name: _attribute(value) for name, value in file[stream.time].attrs.items()}
-    unit = stream.unit or stated_unit(own, holders, where) or ("us" if by_layout else None)
+    own = {name: _attribute(value) for name, value in file[stream.paths[0]].attrs.items()}
+    unit = options.time_unit or stream.unit or stated_unit(own, holders, where) or ("us" if by_layout else None)
     size, likely = stated_size(holders, where)
     if any("ms_to_idx" in one for one in groups):
         likely += tuple((one, " of a sensor whose data sets have this layout") for one in MILLISECOND_SIZES)
@@ -187,7 +176,7 @@ def _arrays(file, path: Path) -> Arrays:
     file.visititems(note)
 
     def pieces(names: Sequence[str]) -> Iterator[list[np.ndarray]]:
-        with _damage(path):
+        with refusing(path, DAMAGED, OSError):
             sets = [file[name] for name in names]
             if any(one.chunks is not None and max(one.chunks) > WHOLE for one in sets) or any(
                 one.ndim > 1 and one.shape[0] != max(one.shape) for one in sets
@@ -236,16 +225,14 @@ def _time_offset(groups: list, where: str) -> int:
 
 def _prophesee_triggers(file, path: Path) -> Triggers:
     """Trigger edges of Prophesee's format."""
-    where, fields = f"{path}: EXT_TRIGGER/events", ("t", "p", "id")
-    records = file["EXT_TRIGGER"].get("events") if hasattr(file["EXT_TRIGGER"], "keys") else None
-    if records is None or not hasattr(records, "dtype"):
-        raise InputError(f"{where}: missing")
-    if records.ndim != 1 or not set(fields) <= set(records.dtype.names or ()):
-        raise InputError(f"{where}: expected records of {', '.join(fields)}, found {shown(str(records.dtype), 200)}")
+    where = f"{path}: EXT_TRIGGER/events"
+    records = file.get("EXT_TRIGGER/events")
+    kinds = getattr(getattr(records, "dtype", None), "fields", None) or {}
+    if records is None or records.ndim != 1 or any(kinds.get(k, records.dtype)[0].kind not in "iub" for k in EDGES):
+        found = shown(str(getattr(records, "dtype", "nothing")), 200)
+        raise InputError(f"{where}: expected records of integers {', '.join(EDGES)}, found {found}")
     _refuse_missing_filter(records, where)
     edges = records[:]
-    if any(edges[name].dtype.kind not in "iub" for name in fields):
-        raise InputError(f"{where}: expected records of integers, found {shown(str(records.dtype), 200)}")
     t = to_nanoseconds(edges["t"], "us", where)
     return Triggers.from_columns(t, edges["p"] > 0, edges["id"], where=where)
 

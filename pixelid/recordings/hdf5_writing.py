@@ -7,14 +7,17 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from pixelid.interruption import interrupt_held
 from pixelid.outputs import plain
+from pixelid.recordings.answers import taken_apart
 from pixelid.recordings.columns import RepeatCounter
 from pixelid.recordings.events import Events
 from pixelid.recordings.metadata import FORMAT, VERSION
@@ -23,59 +26,47 @@ from pixelid.recordings.recording import Recording
 from pixelid.recordings.triggers import Triggers
 
 CHUNK = 1 << 16  # samples of a compressed piece
+PACKED: dict = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
 DTYPES = {"t": np.int64, "x": np.uint16, "y": np.uint16, "p": np.uint8}
 
 
 def write(recording: Recording | LongRecording, path: Path) -> None:
     """Write a recording to a new HDF5 file, compressed, in blocks."""
-    length = None if isinstance(recording, LongRecording) else len(recording.events)
     long = as_long(recording)
     head = long.head
-    with _new_file(path) as file:
-        file.attrs.update({"format": FORMAT, "version": VERSION, "condition": head.condition})
-        file.attrs["sensor"] = head.sensor
+    with _new_file(path) as (file, look):
+        file.attrs.update({"format": FORMAT, "version": VERSION, "condition": head.condition, "sensor": head.sensor})
         if head.pooled:
             file.attrs["pooled"] = True
         for name, value in head.attributes.items():
             file.attrs[name] = json.dumps(plain(value)) if isinstance(value, (dict, list, tuple)) else value
-        group, edges, counter, repeats = _EventGroup(file, "events", head.events, length), [], RepeatCounter(), 0
+        group, edges, counter, repeats = _EventGroup(file, "events", head.events), [], RepeatCounter(), 0
         for part in long.read():
+            look()
             group.append(part.events)
             edges.append(part.triggers)
             repeats += 0 if head.pooled else counter.add(part.events)
-        group.finish()
         if repeats:
             group.group.attrs["duplicates"] = repeats
         if head.exposures is not None:
-            exposures = _EventGroup(file, "exposures", head.exposures, len(head.exposures))
-            exposures.append(head.exposures)
-            exposures.finish()
-        _write_triggers(file, Triggers.joined([head.triggers, *edges]))
+            _EventGroup(file, "exposures", head.exposures).append(head.exposures)
+        stated, columns = taken_apart(replace(head, exposures=None, triggers=Triggers.joined([head.triggers, *edges])))
+        for name, column in columns.items():
+            if not name.startswith("events/"):
+                _write_column(file, name, column.astype(np.uint8) if column.dtype == bool else column)
         if head.stimulus is not None:
-            light = file.create_group("stimulus")
-            light.attrs.update({"unit": head.stimulus.unit, "interpolation": head.stimulus.interpolation})
-            for name, column in head.stimulus.arrays.items():
-                _compressed(light, name, column.shape, column.dtype)[...] = column
-
-
-def _write_triggers(file, edges: Triggers | None) -> None:
-    if edges is None:
-        return
-    group = file.create_group("triggers")
-    for name, column in (("t", edges.t), ("rising", edges.rising.astype(np.uint8)), ("channel", edges.channel)):
-        _compressed(group, name, column.shape, column.dtype)[...] = column
+            file["stimulus"].attrs.update(stated["stimulus"])
 
 
 class _EventGroup:
     """A group of columns to which events are appended; times are microseconds as long as all are whole ones."""
 
-    def __init__(self, file, name: str, like: Events, length: int | None) -> None:
-        """Of as many events as `length`; None: as many as will come."""
-        self.group, self.begin, self.grows = file.create_group(name), 0, length is None
+    def __init__(self, file, name: str, like: Events) -> None:
+        self.group, self.begin = file.create_group(name), 0
         self.group.attrs.update({"width": like.width, "height": like.height, "tick_ns": like.tick_ns})
         self.in_us = like.tick_ns % 1000 == 0
         self.columns = {
-            letter: _compressed(self.group, letter, (length or 0,), dtype, self.grows)
+            letter: self.group.create_dataset(letter, (0,), dtype, maxshape=(None,), chunks=(CHUNK,), **PACKED)
             for letter, dtype in DTYPES.items()
         }
 
@@ -84,14 +75,11 @@ class _EventGroup:
             self._count_in_ns()
         end = self.begin + len(events)
         for letter, dataset in self.columns.items():
-            if self.grows:
-                dataset.resize((end,))
+            dataset.resize((end,))
             column = getattr(events, letter)
             if len(column):
                 dataset[self.begin : end] = column // 1000 if letter == "t" and self.in_us else column
         self.begin = end
-
-    def finish(self) -> None:
         self.group["t"].attrs["unit"] = "us" if self.in_us else "ns"
 
     def _count_in_ns(self) -> None:
@@ -104,12 +92,12 @@ class _EventGroup:
 
 
 @contextmanager
-def _new_file(path: Path) -> Iterator[Any]:
-    """An HDF5 file to write to; raises what stopped the disk from taking it, once it is closed."""
+def _new_file(path: Path) -> Iterator[tuple[Any, Callable[[], None]]]:
+    """An HDF5 file to write to, and a look for interrupts; raises what stopped the disk from taking it, once closed."""
     import h5py
 
-    with _PatientFile(path, "w+b") as disk, h5py.File(disk, "w") as file:
-        yield file
+    with interrupt_held() as look, _PatientFile(path, "w+b") as disk, h5py.File(disk, "w") as file:
+        yield file, look
     if disk.error is not None:
         raise disk.error
 
@@ -137,13 +125,8 @@ class _PatientFile(io.FileIO):
             return size or 0
 
 
-def _compressed(group, name: str, shape: tuple, dtype, growing: bool = False):
-    """A new dataset: gzip level 1 after byte shuffling, at most CHUNK samples per chunk."""
-    if growing:
-        settings: dict = {"maxshape": (None, *shape[1:]), "chunks": (CHUNK, *shape[1:])}
-    elif not shape[0]:
-        return group.create_dataset(name, shape, dtype)
-    else:
-        samples = int(np.prod(shape[1:], dtype=np.int64))
-        settings = {"chunks": (max(1, min(shape[0], CHUNK // samples)), *shape[1:])}
-    return group.create_dataset(name, shape, dtype, compression="gzip", compression_opts=1, shuffle=True, **settings)
+def _write_column(file, name: str, column: np.ndarray) -> None:
+    """A new dataset, compressed in pieces of at most CHUNK samples where there are any."""
+    samples = int(np.prod(column.shape[1:], dtype=np.int64))
+    pieces = {"chunks": (max(1, min(len(column), CHUNK // samples)), *column.shape[1:]), **PACKED}
+    file.create_dataset(name, data=column, **(pieces if len(column) else {}))

@@ -1,12 +1,12 @@
 """Read files that a person did not write in a process of its own, which may crash, hang or run out of memory.
 
 Decoders are compiled libraries: for damaged bytes some abort, some loop, some ask for all the memory there is.  So one
-child process serves all reading.  It gets a line of JSON (reader, file) and answers with a header of JSON and the raw
-columns, on a pipe of its own.  Its CPU time and its memory are limited in proportion to the file; when it dies, the
-caller gets one plain line, and the next file a new child.  Only numbers and JSON come back, nothing that is executed.
+child process serves all reading.  It gets a line of JSON (reader, file) and answers on a pipe of its own with headers
+of JSON and raw columns: the recording without its events, its parts one by one, at last nothing.  Its CPU time and its
+memory are limited in proportion to the file; when it dies, the caller gets one plain line, and the next file a new
+child.  Only numbers and JSON come back, nothing that is executed.
 
-Long recordings come in parts, from a child of their own that lives as long as they are read: first the recording
-without its events, then its parts one by one, at last nothing.
+Long recordings come from a child of their own that lives as long as they are read.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ import stat
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,8 @@ import numpy as np
 
 from pixelid.documents import refuse_hollow
 from pixelid.errors import InputError
-from pixelid.recordings.answers import Counted, assembled, receive
+from pixelid.recordings.answers import assembled, receive
+from pixelid.recordings.parts import joined
 from pixelid.recordings.recording import Recording
 
 # per file, after the imports: readers take 1e-8 (binary) to 1e-7 s (text) a byte; .h5 packs to one byte an event, which
@@ -51,15 +53,14 @@ def read_isolated(reader: str, path: Path, options: Mapping[str, Any] | None = N
     Raises:
         InputError: the reader's own; or that reading crashed, took too long, or needed too much memory.
     """
-    path, size = _regular(path)
-    stated = dict(options or {})
+    path, stated = path.resolve(), dict(options or {})
     try:
-        answer = _CHILD.whole({"reader": reader, "options": stated}, path, size)
+        head, *parts = _recordings(_CHILD.all_answers({"reader": reader, "options": stated}, path), path)
     except OSError:  # no process can be started: read here
         from pixelid.recordings.reading_child import recordings_of
 
-        return next(recordings_of(reader, path, stated))
-    return assembled(*answer, path)
+        head, *parts = recordings_of(reader, path, stated)
+    return joined(head, parts)
 
 
 def stream_isolated(reader: str, path: Path, options: Mapping[str, Any] | None = None) -> Iterator[Recording]:
@@ -68,8 +69,7 @@ def stream_isolated(reader: str, path: Path, options: Mapping[str, Any] | None =
     Raises:
         InputError: as `read_isolated`, also between parts.
     """
-    request = {"reader": reader, "options": dict(options or {}), "stream": True}
-    return (assembled(*answer, path) for answer in _streamed(request, path))
+    return _recordings(_streamed({"reader": reader, "options": dict(options or {})}, path), path)
 
 
 def arrays_isolated(
@@ -80,26 +80,31 @@ def arrays_isolated(
     Args:
         function: its name.
         path: the file that it reads.
-        single: only what it yields first, which spares starting a process of its own.
+        single: it yields once, which spares starting a process of its own.
         arguments: more of its arguments, that JSON can hold.
 
     Raises:
         InputError: as `read_isolated`, also between steps.
     """
-    request = {"reader": function, "arguments": arguments, "stream": not single}
-    answers = [_CHILD.whole(request, *_regular(path))] if single else _streamed(request, path)
+    request = {"reader": function, "arguments": arguments}
+    answers = _CHILD.all_answers(request, path) if single else _streamed(request, path)
     return (columns for _, columns in answers)
+
+
+def _recordings(answers: Iterable[Answer], path: Path) -> Iterator[Recording]:
+    """A head and its parts, which come without what the head has."""
+    head: Recording | None = None
+    for answer in answers:
+        part = assembled(*answer, path)
+        head = head or part
+        yield replace(head, events=part.events, triggers=part.triggers)
 
 
 def _streamed(request: dict[str, Any], path: Path) -> Iterator[Answer]:
     """Every answer to a request, of a process of its own."""
-    path, size = _regular(path)
     child = _Child()
     try:
-        answer = child.ask(request, path, size)
-        while answer is not None:
-            yield answer
-            answer = child.answer(path, size)
+        yield from child.answers(request, path)
     finally:
         child.stop()
 
@@ -125,18 +130,16 @@ class _Child:
         self._lock = threading.Lock()
         self._owner = 0
 
-    def whole(self, request: dict[str, Any], path: Path, size: int) -> Answer:
-        """The one answer to a request.  Raises OSError where no process can be started."""
+    def all_answers(self, request: dict[str, Any], path: Path) -> list[Answer]:
+        """Every answer to a request, together.  Raises OSError where no process can be started."""
         with self._lock:
             try:
-                answer = self.ask(request, path, size)
+                return list(self.answers(request, path))
             except (InputError, OSError):
                 raise
             except BaseException:  # an answer half read would be taken for the next one
                 self.stop()
                 raise
-            assert answer is not None
-            return answer
 
     def start(self) -> subprocess.Popen:
         """The process, which is started where none runs."""
@@ -144,33 +147,36 @@ class _Child:
             return self._process
         command = [sys.executable, "-c", START, json.dumps(sys.path)]
         pipe, nothing = subprocess.PIPE, subprocess.DEVNULL
-        environment = {**os.environ, **ONE_THREAD}
-        self._process = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=nothing, env=environment)
+        self._process = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=nothing, env=os.environ | ONE_THREAD)
         self._owner = os.getpid()
         return self._process
 
-    def ask(self, request: dict, path: Path, size: int) -> Answer | None:
-        """The first answer to a request about a file of `size` bytes."""
-        limits = {"cpu_s": _cpu_s(size), "bytes": MEMORY_BYTES + MEMORY_PER_BYTE * size}
-        request = {**request, "path": str(path), **limits}
+    def answers(self, request: dict[str, Any], path: Path) -> Iterator[Answer]:
+        """The answers to a request about a file, one by one."""
+        path, size = _regular(path)
+        cpu_s = CPU_S + CPU_S_PER_BYTE * size
+        limits = {"cpu_s": cpu_s, "bytes": MEMORY_BYTES + MEMORY_PER_BYTE * size}
         self.start()
-        return self.answer(path, size, json.dumps(request).encode() + b"\n")
+        answer = self._answer(path, cpu_s, json.dumps({**request, "path": str(path), **limits}).encode() + b"\n")
+        while answer is not None:
+            yield answer
+            answer = self._answer(path, cpu_s)
 
-    def answer(self, path: Path, size: int, request: bytes = b"") -> Answer | None:
+    def _answer(self, path: Path, cpu_s: float, request: bytes = b"") -> Answer | None:
         """The next answer; None where there is no more."""
         process = self._process
         assert process is not None and process.stdin is not None and process.stdout is not None  # noqa: PT018
-        received, answered = Counted(process.stdout), threading.Event()
-        threading.Thread(target=_end_idle, args=(process, received, answered), daemon=True).start()
+        answered = threading.Event()
+        threading.Thread(target=_end_idle, args=(process, answered), daemon=True).start()
         try:
             process.stdin.write(request)
             process.stdin.flush()
-            header, columns = receive(received)
-        except (EOFError, OSError, ValueError):
+            header, columns = receive(process.stdout)
+        except (OSError, ValueError):
             code = process.wait()
             self._process = None
             why = {
-                -signal.SIGPROF: f"took more than {_cpu_s(size):.0f} s",
+                -signal.SIGPROF: f"took more than {cpu_s:.0f} s",
                 -signal.SIGKILL: "hung, or took too much memory",
             }.get(code, "made the decoder crash")
             raise InputError(f"{path}: damaged: reading it {why}") from None
@@ -195,20 +201,15 @@ _CHILD = _Child()
 atexit.register(_CHILD.stop)
 
 
-def _cpu_s(size: int) -> float:
-    return CPU_S + CPU_S_PER_BYTE * size
-
-
-def _end_idle(process: subprocess.Popen, received: Counted, answered: threading.Event) -> None:
-    """Kill a child that neither computes nor sends nor waits for its turn, look after look.
+def _end_idle(process: subprocess.Popen, answered: threading.Event) -> None:
+    """Kill a child that neither computes nor waits for its turn, look after look.
 
     How long that takes is no measure: a child gets little of a core that others want, none while the machine sleeps or
     the terminal has stopped it, and its own CPU limit sees to those that loop.
     """
-    idle, before = 0, None
+    idle, before = 0, -1
     while not answered.wait(LOOK_S):
-        state, cpu = _state(process.pid)
-        now = cpu, received.count
+        state, now = _state(process.pid)
         idle = idle + 1 if now == before and state == "S" else 0
         before = now
         if idle >= MOST_IDLE_LOOKS:

@@ -7,7 +7,6 @@ A recording that was cut keeps the size of its sensor and the light from before 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 from pixelid.documents import interpreting
 from pixelid.errors import InputError
@@ -18,7 +17,7 @@ ATTRIBUTE = "crop"
 
 @dataclass(frozen=True)
 class Kept:
-    """The part of a recording that is left.
+    """The part of a recording that is left; as a dictionary, the attribute (docs/formats.md).
 
     Attributes:
         roi: (x0, y0, x1, y1), columns x0 ≤ x < x1 and rows y0 ≤ y < y1.
@@ -57,11 +56,6 @@ class Kept:
         """The same on a clock whose time zero lies so many seconds later."""
         span = None if self.time_s is None else (self.time_s[0] - seconds, self.time_s[1] - seconds)
         return Kept(self.roi, self.hot_pixels, self.pixels, span)
-
-    def as_dict(self) -> dict[str, Any]:
-        """The attribute (docs/formats.md)."""
-        return {"roi": list(self.roi), "hot_pixels": self.hot_pixels, "pixels": self.pixels,
-                "time_s": None if self.time_s is None else list(self.time_s)}  # fmt: skip
 
 
 def kept_of(recording: Recording) -> Kept:

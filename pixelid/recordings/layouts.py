@@ -1,12 +1,13 @@
 """Where the events lie among a file's arrays: HDF5, npz and MATLAB files name and nest them in many ways.
 
-A stream of events is a group of columns with the names of t, x, y and p; one array of records with such fields; or an
-array of four columns or rows, whose order is inferred.  Streams without events are passed over; of several one is
-stated.
+A stream of events is a group of columns with the names of t, x, y and p, the two addresses perhaps in one array of two
+columns; one array of records with such fields; or an array of four columns or rows, whose order is inferred.  Streams
+without events are passed over; of several one is stated.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -20,6 +21,7 @@ from pixelid.recordings.source import ReadingOptions
 
 Kind = tuple[np.dtype, tuple[int, ...]]
 MOST_COLUMNS = 16  # of an array whose order is stated
+POSITION = re.compile(r"(xy|pos|positions?|coords?|coordinates|locations?|pixels?)$", re.I)  # x and y in one array
 
 
 @dataclass(frozen=True)
@@ -42,52 +44,46 @@ class Stream:
     Attributes:
         name: path of the group or array.
         length: events.
-        paths: of t, x, y, p, or of the one array that holds all of them.
-        fields: names or numbers of t, x, y, p in that array; empty where each is an array.
+        paths: of the arrays that hold t, x, y, p.
+        fields: of each its name or number in that array; None where it is all of it.
         unit: that the name of t states.
         inferred: of `Source`.
-        across: whether the columns are rows of that array.
+        across: whether the columns are rows of an array.
     """
 
     name: str
     length: int
-    paths: tuple[str, ...]
-    fields: tuple[Any, ...] = ()
+    paths: Sequence[str]
+    fields: Sequence[str | int | None] = (None,) * 4
     unit: str | None = None
     inferred: tuple[tuple[str, tuple[Any, str]], ...] = ()
     across: bool = False
 
-    @property
-    def time(self) -> str:
-        """Path of the times."""
-        return self.paths[0]
-
     def blocks(self, arrays: Arrays) -> Iterator[Block]:
         """Its columns, piece by piece."""
-        for piece in arrays.pieces(self.paths):
-            if not self.fields:
-                yield Block.of(column.reshape(-1) for column in piece)
-            elif isinstance(self.fields[0], str):
-                yield Block.of(piece[0][name] for name in self.fields)
-            else:
-                yield Block.of(piece[0][k] if self.across else piece[0][:, k] for k in self.fields)
+        every = list(dict.fromkeys(self.paths))
+        for piece in arrays.pieces(every):
+            found = dict(zip(every, piece, strict=True))
+            yield Block.of(self._column(found[path], k) for path, k in zip(self.paths, self.fields, strict=True))
+
+    def _column(self, array: np.ndarray, field: str | int | None) -> np.ndarray:
+        if field is None:
+            return array.reshape(-1)
+        return array[field] if self.across or isinstance(field, str) else array[:, field]
 
 
-def chosen_stream(
-    arrays: Arrays, options: ReadingOptions, where: str, without: Sequence[str] = ()
-) -> tuple[Stream, tuple[str, ...]]:
+def chosen_stream(arrays: Arrays, options: ReadingOptions, where: str) -> tuple[Stream, tuple[str, ...]]:
     """The stream of events of a file that is stated, or the only one that has any; and the names of all.
 
     Args:
         arrays: of the file.
         options: what the user states.
         where: names the file in errors.
-        without: streams that hold something else.
 
     Raises:
         InputError: there is none, or one must be stated.
     """
-    streams = [stream for stream in _streams(arrays, options, where) if stream.name not in without]
+    streams = _streams(arrays, options, where)
     names = tuple(stream.name for stream in streams)
     if not streams:
         raise InputError(
@@ -103,8 +99,9 @@ def _streams(arrays: Arrays, options: ReadingOptions, where: str) -> list[Stream
     for path, (_, shape) in arrays.kinds.items():
         if shape:
             groups.setdefault(path.rpartition("/")[0], []).append(path)
-    found = [_of_group(arrays, group, paths, options, where) for group, paths in groups.items()]
-    found += [_of_records(path, kind, options) for path, kind in arrays.kinds.items()]
+    by_name = [word for word in options.columns if "=" in word]  # arrays of a group have no order
+    found = [_of_group(arrays, group, paths, by_name, where) for group, paths in groups.items()]
+    found += [_of_records(path, kind, by_name) for path, kind in arrays.kinds.items()]
     streams = [stream for stream in found if stream is not None]
     stated = len(options.columns)
     plain = [path for path, (dtype, shape) in arrays.kinds.items()
@@ -116,33 +113,34 @@ def _streams(arrays: Arrays, options: ReadingOptions, where: str) -> list[Stream
     return streams
 
 
-def _of_group(arrays: Arrays, group: str, paths: list[str], options: ReadingOptions, where: str) -> Stream | None:
-    order, unit = named_columns([path.rpartition("/")[2] for path in paths], _by_name(options))
+def _of_group(arrays: Arrays, group: str, paths: list[str], by_name: Sequence[str], where: str) -> Stream | None:
+    names, places = [], []
+    for path in paths:
+        name, shape = path.rpartition("/")[2], arrays.kinds[path][1]
+        both = len(shape) == 2 and shape[1] == 2 and POSITION.search(name)
+        names += [f"{name[: both.start()]}{letter}" for letter in "xy"] if both else [name]
+        places += [(path, 0), (path, 1)] if both else [(path, None)]
+    order, unit = named_columns(names, by_name)
     if order is None:
         return None
-    chosen = tuple(paths[k] for k in order)
+    chosen = [places[k] for k in order]
     lengths = []
-    for path in chosen:
+    for path, field in chosen:
         dtype, shape = arrays.kinds[path]
-        if int(np.prod(shape)) != max(shape, default=0) or dtype.names:
+        if field is None and (int(np.prod(shape)) != max(shape, default=0) or dtype.names):
             raise InputError(f"{where}: {path}: expected one column, found shape {shape}")
-        lengths.append(max(shape, default=0))
+        lengths.append(shape[0] if field is not None else max(shape, default=0))
     if len(set(lengths)) != 1:
         raise InputError(f"{where}: {group}: t, x, y, p must have one length, found {', '.join(map(str, lengths))}")
-    return Stream(group or "/", lengths[0], chosen, (), unit)
+    return Stream(group or "/", lengths[0], [path for path, _ in chosen], [field for _, field in chosen], unit)
 
 
-def _by_name(options: ReadingOptions) -> list[str]:
-    """Columns that are stated by their names in the file: arrays of a group have no order."""
-    return [word for word in options.columns if "=" in word]
-
-
-def _of_records(path: str, kind: Kind, options: ReadingOptions) -> Stream | None:
+def _of_records(path: str, kind: Kind, by_name: Sequence[str]) -> Stream | None:
     names = kind[0].names or ()
-    order, unit = named_columns(names, _by_name(options)) if names else (None, None)
+    order, unit = named_columns(names, by_name) if names else (None, None)
     if order is None or len(kind[1]) != 1:
         return None
-    return Stream(path, kind[1][0], (path,), tuple(names[k] for k in order), unit)
+    return Stream(path, kind[1][0], (path,) * 4, [names[k] for k in order], unit)
 
 
 def _of_four(arrays: Arrays, path: str, options: ReadingOptions, where: str) -> Stream:
@@ -153,8 +151,8 @@ def _of_four(arrays: Arrays, path: str, options: ReadingOptions, where: str) -> 
         order, _ = named_columns([str(k) for k in range(count)], options.columns)
         if order is None or count not in shape:
             raise InputError(f"{where}: {path}: --columns: expected {min(shape)}, found {','.join(options.columns)}")
-        return Stream(path, length, (path,), tuple(order), across=across)
+        return Stream(path, length, (path,) * 4, order, across=across)
     sample = next(arrays.pieces([path]))[0]
     columns = list(sample[:, :ROWS]) if across else [sample[:ROWS, k] for k in range(4)]
     order, inferred = infer_order(columns, f"{where}: {path}", options.size)
-    return Stream(path, length, (path,), tuple(order), None, (("columns", inferred),), across)
+    return Stream(path, length, (path,) * 4, order, None, (("columns", inferred),), across)

@@ -7,14 +7,16 @@ one over that time (Posch, Matolin & Wohlgenannt, JSSC 2011).  Addresses count f
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from pixelid.errors import InputError, first_line
+from pixelid.errors import InputError
+from pixelid.recordings.damage import refusing
 from pixelid.recordings.events import Events
-from pixelid.recordings.layouts import Arrays, Stream, chosen_stream
+from pixelid.recordings.layouts import Arrays, chosen_stream
 from pixelid.recordings.raw import RawEvents
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.source import SENSOR_SIZES, ReadingOptions
@@ -31,36 +33,34 @@ def opened(path: Path, options: ReadingOptions) -> RawEvents:
     from scipy.io import loadmat
     from scipy.io.matlab import MatReadError
 
+    kinds = MatReadError, ValueError, TypeError, KeyError, OSError, EOFError, IndexError
     try:
-        content = loadmat(path, squeeze_me=False, struct_as_record=True)
+        with refusing(path, "expected a MATLAB file, found a damaged or different one", *kinds):
+            content = loadmat(path, squeeze_me=False, struct_as_record=True)
     except NotImplementedError:
         raise InputError(
             f"{path}: expected a MATLAB file up to version 7, found version 7.3; save it with -v7"
         ) from None
-    except (MatReadError, ValueError, TypeError, KeyError, OSError, EOFError, IndexError, MemoryError) as error:
-        reason = first_line(error)[:120]
-        raise InputError(f"{path}: expected a MATLAB file, found a damaged or different one ({reason})") from None
     found = dict(_columns(content, ""))
-
-    def pieces(names: Sequence[str]) -> Iterator[list[np.ndarray]]:
-        yield [found[name] for name in names]
-
-    arrays = Arrays({name: (column.dtype, column.shape) for name, column in found.items()}, pieces)
-    atis = any(name.startswith(f"{EXPOSURES}/") for name in found)
-    stream, streams = chosen_stream(arrays, options, str(path), without=[EXPOSURES] if atis else [])
-    exposures = None
-    if atis:
-        chosen = ReadingOptions(stream=EXPOSURES, columns=options.columns)
-        exposures = _raw(chosen_stream(arrays, chosen, str(path))[0], arrays, path, atis)
-    return _raw(stream, arrays, path, atis, streams, exposures)
+    measured = {name: column for name, column in found.items() if name.startswith(f"{EXPOSURES}/")}
+    raw = _raw({name: column for name, column in found.items() if name not in measured}, path, options)
+    if not measured:
+        return raw
+    likely = ((SENSOR_SIZES["ATIS"], " of an ATIS, which has exposure measurements"),)
+    exposures = _raw(measured, path, ReadingOptions(columns=options.columns))
+    return replace(raw, head=replace(raw.head, sensor="ATIS"), likely_sizes=likely, exposures=exposures)
 
 
-def _raw(stream: Stream, arrays: Arrays, path: Path, atis: bool, streams=(), exposures=None) -> RawEvents:
+def _raw(columns: dict[str, np.ndarray], path: Path, options: ReadingOptions) -> RawEvents:
+    """The stream among columns by path."""
+    kinds = {name: (column.dtype, column.shape) for name, column in columns.items()}
+    arrays = Arrays(kinds, lambda names: iter([[columns[name] for name in names]]))
+    stream, streams = chosen_stream(arrays, options, str(path))
     unit = stream.unit or ("us" if stream.name in ("TD", EXPOSURES) else None)
-    head = Recording(Events.empty(1, 1), sensor="ATIS" if atis else "", source=path)
-    likely = ((SENSOR_SIZES["ATIS"], " of an ATIS, which has exposure measurements"),) if atis else ()
-    return RawEvents(head, lambda: stream.blocks(arrays), f"{path}: {stream.name}", unit, likely_sizes=likely,
-                     from_one=True, inferred=stream.inferred, streams=streams, exposures=exposures)  # fmt: skip
+    return RawEvents(
+        Recording(Events.empty(1, 1), source=path), lambda: stream.blocks(arrays), f"{path}: {stream.name}", unit,
+        from_one=True, inferred=stream.inferred, streams=streams,
+    )  # fmt: skip
 
 
 def _columns(content, inside: str) -> Iterator[tuple[str, np.ndarray]]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from pixelid.documents import is_number
 from pixelid.errors import InputError, shown
-from pixelid.outputs import plain
+from pixelid.recordings.answers import taken_apart
 from pixelid.recordings.events import Events
 from pixelid.recordings.recording import Recording
 from pixelid.stimuli.pixel_lights import light_from_arrays
@@ -23,22 +23,11 @@ MOST_SIZE = 1 << 31  # of a stated side; what a sensor may have is the business 
 
 def to_json(recording: Recording) -> str:
     """One line of JSON: sensor size, unit of time, labels, attributes, and how the stimulus is to be read."""
-    events, stimulus = recording.events, recording.stimulus
-    value = {
-        "format": FORMAT,
-        "version": VERSION,
-        "unit": "ns",
-        "tick_ns": events.tick_ns,
-        "width": events.width,
-        "height": events.height,
-        "condition": recording.condition,
-        "sensor": recording.sensor,
-        "pooled": recording.pooled,
-        "attributes": recording.attributes,
+    header, _ = taken_apart(recording)
+    kept = {
+        name: header[name] for name in ("condition", "sensor", "pooled", "attributes", "stimulus") if name in header
     }
-    if stimulus is not None:
-        value["stimulus"] = {"unit": stimulus.unit, "interpolation": stimulus.interpolation}
-    return json.dumps(plain(value))
+    return json.dumps({"format": FORMAT, "version": VERSION, "unit": "ns", **header["events"], **kept})
 
 
 def from_json(line: str, where: str) -> dict:

@@ -7,13 +7,16 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 
 from pixelid.errors import InputError
 from pixelid.recordings import metadata
 from pixelid.recordings.columns import PART_EVENTS
+from pixelid.recordings.damage import refusing
 from pixelid.recordings.events import Events
 from pixelid.recordings.layouts import Arrays, chosen_stream
 from pixelid.recordings.parts import LongRecording
@@ -23,84 +26,72 @@ from pixelid.recordings.source import ReadingOptions
 from pixelid.recordings.statements import stated_size, stated_unit
 
 PREFIX = "stimulus_"  # of the arrays of the light
+ERRORS = zipfile.BadZipFile, EOFError, OSError, ValueError, zlib.error
+DAMAGE = "expected a .npz archive, found a damaged or different file", *ERRORS
 COLUMNS = {"t": np.dtype(np.int64), "x": np.dtype(np.uint16), "y": np.dtype(np.uint16), "p": np.dtype(np.uint8)}
 
 
 def opened(path: Path, options: ReadingOptions) -> RawEvents:
     """What a .npz file holds; raises InputError where no events can be found in it."""
     where = f"{path}: events"
-    if path.suffix.lower() == ".npy":
-        return _of_one_array(path, options, where)
-    with _damage(path), np.load(path, allow_pickle=False) as archive:
-        arrays = _arrays(path, where)
-        meta = metadata.from_json(str(archive["metadata"]), f"{path}: metadata") if "metadata" in archive else {}
-        stream, streams = chosen_stream(arrays, options, where)
-        small = {
-            name: str(archive[name]) if kind.kind in "US" else archive[name]
-            for name, (kind, shape) in arrays.kinds.items()
-            if shape in ((), (1,), (2,)) and kind.kind in "iufUS"
+    with refusing(path, *DAMAGE), _members(path) as members:
+        arrays = _arrays(path)
+        values = {
+            name: np.lib.format.read_array(members[name](), allow_pickle=False)
+            for name, (_, shape) in arrays.kinds.items()
+            if shape in ((), (1,), (2,)) or name.startswith(PREFIX)
         }
-        unit = meta.get("unit") or stream.unit or stated_unit(small, (), where)
-        size, likely = stated_size([meta, small], where)
-        light = {name[len(PREFIX) :]: archive[name] for name in archive.files if name.startswith(PREFIX)} or None
-        floating = arrays.kinds[stream.time][0].kind == "f"
-    tick_ns = meta.get("tick_ns") or (1 if unit is not None and floating else None)
+    small = {name: str(value) if value.dtype.kind in "US" else value for name, value in values.items()}
+    meta = metadata.from_json(str(small["metadata"]), f"{path}: metadata") if "metadata" in small else {}
+    stream, streams = chosen_stream(arrays, options, where)
+    unit = meta.get("unit") or options.time_unit or stream.unit or stated_unit(small, (), where)
+    size, likely = stated_size([meta, small], where)
+    light = {name[len(PREFIX) :]: value for name, value in values.items() if name.startswith(PREFIX)} or None
     head = metadata.assemble(meta, Events.empty(1, 1), light, path, str(path))
     return RawEvents(
-        head, lambda: stream.blocks(arrays), where, unit, tick_ns, size=size, likely_sizes=likely,
+        head, lambda: stream.blocks(arrays), where, unit, meta.get("tick_ns"), size=size, likely_sizes=likely,
         polarity="01" if meta else None, inferred=stream.inferred, streams=streams,
     )  # fmt: skip
 
 
-def _of_one_array(path: Path, options: ReadingOptions, where: str) -> RawEvents:
-    with _damage(path):
-        array = np.load(path, mmap_mode="r", allow_pickle=False)
-    parts = range(0, array.shape[0] if array.ndim and array.shape[0] != 4 else 1, PART_EVENTS)
-    size = PART_EVENTS if len(parts) > 1 else None
-    arrays = Arrays({"events": (array.dtype, array.shape)},
-                    lambda names: ([array[k:][:size]] * len(names) for k in parts))  # fmt: skip
-    stream, _ = chosen_stream(arrays, options, where)
-    head = Recording(Events.empty(1, 1), source=path)
-    return RawEvents(head, lambda: stream.blocks(arrays), where, stream.unit, inferred=stream.inferred)
-
-
 @contextmanager
-def _damage(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except (zipfile.BadZipFile, EOFError, OSError, ValueError, zipfile.error, zlib.error) as error:
-        raise InputError(f"{path}: expected a .npz archive, found a damaged or different file ({error})") from error
-
-
-def _arrays(path: Path, where: str) -> Arrays:
-    """The arrays of an archive, which are unpacked piece by piece."""
-    kinds = {}
+def _members(path: Path) -> Iterator[dict[str, Callable[[], IO[bytes]]]]:
+    """What opens each array of an archive, or the one of a .npy file, by name."""
+    if path.suffix.lower() == ".npy":
+        yield {"events": partial(path.open, "rb")}
+        return
     with zipfile.ZipFile(path) as packed:
-        for member in packed.namelist():
-            with packed.open(member) as file:
+        yield {name.removesuffix(".npy"): partial(packed.open, name) for name in packed.namelist()}
+
+
+def _arrays(path: Path) -> Arrays:
+    """The arrays of a file, which are read piece by piece."""
+    kinds = {}
+    with _members(path) as members:
+        for name, open_member in members.items():
+            with open_member() as file:
                 shape, dtype, _ = _array_header(file)
             if not dtype.hasobject:
-                kinds[member.removesuffix(".npy")] = (dtype, shape)
+                kinds[name] = (dtype, shape)
+    if members and not kinds:
+        raise InputError(f"{path}: holds Python objects only, which are not read; save numbers: array.astype(float)")
 
     def pieces(names: Sequence[str]) -> Iterator[list[np.ndarray]]:
-        with _damage(path), zipfile.ZipFile(path) as packed, ExitStack() as stack:
-            files = [stack.enter_context(packed.open(f"{name}.npy")) for name in names]
+        with refusing(path, *DAMAGE), _members(path) as members, ExitStack() as stack:
+            files = [stack.enter_context(members[name]()) for name in names]
             headers = [_array_header(file) for file in files]
             if any(fortran for _, _, fortran in headers):
-                with np.load(path, allow_pickle=False) as archive:
-                    yield [archive[name] for name in names]
+                yield [np.lib.format.read_array(members[name](), allow_pickle=False) for name in names]
                 return
-            if any(dtype.itemsize == 0 for _, dtype, _ in headers):
-                raise ValueError("expected numbers, found arrays of none")
-            rows = [(dtype, shape[1:]) for shape, dtype, _ in headers]
             length = headers[0][0][0]
             for k in range(0, length, PART_EVENTS):
                 count = min(PART_EVENTS, length - k)
-                data = [
-                    file.read(count * dtype.itemsize * int(np.prod(row)))
-                    for file, (dtype, row) in zip(files, rows, strict=True)
+                yield [
+                    np.frombuffer(file.read(count * dtype.itemsize * int(np.prod(shape[1:]))), dtype).reshape(
+                        count, *shape[1:]
+                    )
+                    for file, (shape, dtype, _) in zip(files, headers, strict=True)
                 ]
-                yield [np.frombuffer(d, dtype).reshape(count, *row) for d, (dtype, row) in zip(data, rows, strict=True)]
 
     return Arrays(kinds, pieces)
 

@@ -56,52 +56,37 @@ class LongRecording:
         """The same events with another stimulus."""
         return self.map(lambda part: part.with_stimulus(stimulus))
 
-    def watched(self, look: Callable[[Recording], object]) -> LongRecording:
-        """The same, with `look` called on every part as it is read."""
-
-        def read() -> Iterator[Recording]:
-            for part in self.read():
-                look(part)
-                yield part
-
-        return LongRecording(self.head, read)
-
     def map(self, function: Callable[[Recording], Recording]) -> LongRecording:
         """The recording whose head and parts are what `function` makes of them."""
         return LongRecording(function(self.head), lambda: map(function, self.read()))
 
 
 class Totals:
-    """Events and duration, part by part."""
+    """Events, and the times of the first and last (ns), part by part."""
 
     def __init__(self) -> None:
         self.events = 0
-        self._ends: list[int] = []
+        self.ends: list[int] = []
 
     def add(self, part: Recording) -> int:
         """Take in a part that follows those before; returns how many events there are so far."""
         self.events += len(part.events)
-        self._ends = [*self._ends[:1], *part.events.t[:1].tolist(), *part.events.t[-1:].tolist()]
+        self.ends = [*self.ends[:1], *part.events.t[:1].tolist(), *part.events.t[-1:].tolist()]
         return self.events
 
     @property
     def duration_s(self) -> float:
         """Seconds between the first and the last event."""
-        return float(self._ends[-1] - self._ends[0]) * 1e-9 if self.events > 1 else 0.0
+        return float(self.ends[-1] - self.ends[0]) * 1e-9 if self.events > 1 else 0.0
 
 
 def joined(head: Recording, parts: Iterable[Recording]) -> Recording:
     """One recording of its parts."""
     parts = list(parts)
-    return replace(head, events=_joined_events(head, parts), triggers=Triggers.joined(p.triggers for p in parts))
-
-
-def _joined_events(head: Recording, parts: list[Recording]) -> Events:
-    filled = [part.events for part in parts if len(part.events)]
-    if len(filled) < 2:
-        return filled[0] if filled else head.events
-    t, x, y, p = (np.concatenate([getattr(events, name) for events in filled]) for name in "txyp")
-    return Events(t, x, y, p, head.events.width, head.events.height, head.events.tick_ns)
+    every = [part.events for part in parts if len(part.events)] or [head.events]
+    t, x, y, p = (np.concatenate([getattr(events, name) for events in every]) for name in "txyp")
+    events = Events(t, x, y, p, head.events.width, head.events.height, head.events.tick_ns)
+    return replace(head, events=events, triggers=Triggers.joined(part.triggers for part in parts))
 
 
 def as_whole(recording: Recording | LongRecording) -> Recording:

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pixelid.errors import InputError, first_line
+from pixelid.errors import InputError
+from pixelid.recordings.damage import refusing
 from pixelid.recordings.isolated import arrays_isolated
 
 MOST_PIXELS = 1 << 27  # of a picture, 11 000 × 11 000; of a grey frame as float32 0.5 GiB
@@ -47,7 +48,7 @@ def read_video(path: Path) -> Iterator[tuple[float, np.ndarray]]:
 
 def picture(path: Path) -> Iterator[dict[str, np.ndarray]]:
     """What the reading process does for `read_picture`."""
-    try:
+    with refusing(path, "not a readable picture", Exception):  # readers of many formats, each with its own exceptions
         if path.suffix == ".npy":
             image = np.load(path, mmap_mode="r", allow_pickle=False)
         elif path.suffix.lower() == ".exr":
@@ -56,10 +57,6 @@ def picture(path: Path) -> Iterator[dict[str, np.ndarray]]:
             from imageio.v3 import imread
 
             image = imread(path)
-    except (InputError, MemoryError):
-        raise
-    except Exception as error:  # readers of many formats, each with its own exceptions
-        raise InputError(f"{path}: not a readable picture ({first_line(error)[:80]})") from None
     image = np.asarray(image)
     if not 2 <= image.ndim <= 4 or image.size > 4 * MOST_PIXELS or image.dtype.kind not in "buif":
         raise InputError(
@@ -75,17 +72,14 @@ def video(path: Path) -> Iterator[dict[str, np.ndarray]]:
         from av.error import FFmpegError  # pyright: ignore[reportMissingImports]
     except ImportError:
         raise InputError(f'{path}: videos need the package av: pip install "pixelid[video]"') from None
-    try:
-        with av.open(str(path)) as file:
-            stream = file.streams.video[0]
-            for frame in file.decode(stream):
-                if frame.width * frame.height > MOST_PIXELS:
-                    raise InputError(f"{path}: expected frames of at most {MOST_PIXELS} pixels")
-                deep = any(component.bits > 8 for component in frame.format.components)
-                grey = frame.to_ndarray(format="gray16le" if deep else "gray")
-                yield {"time": np.array([np.nan if frame.time is None else frame.time]), "frame": grey}
-    except (FFmpegError, LookupError, ValueError, ArithmeticError) as error:
-        raise InputError(f"{path}: expected a video: {first_line(error)}") from None
+    kinds = FFmpegError, LookupError, ValueError, ArithmeticError
+    with refusing(path, "expected a video", *kinds), av.open(str(path)) as file:
+        for frame in file.decode(file.streams.video[0]):
+            if frame.width * frame.height > MOST_PIXELS:
+                raise InputError(f"{path}: expected frames of at most {MOST_PIXELS} pixels")
+            deep = any(component.bits > 8 for component in frame.format.components)
+            grey = frame.to_ndarray(format="gray16le" if deep else "gray")
+            yield {"time": np.array([np.nan if frame.time is None else frame.time]), "frame": grey}
 
 
 def _exr(path: Path) -> np.ndarray:

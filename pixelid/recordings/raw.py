@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pixelid.errors import InputError
-from pixelid.recordings.columns import PART_EVENTS, RepeatCounter, floats_to_ns, to_nanoseconds
+from pixelid.recordings.columns import PART_EVENTS, RepeatCounter, floats_to_ns, last_decimal_ns, to_nanoseconds
 from pixelid.recordings.events import NS_PER_UNIT, Events
 from pixelid.recordings.parts import WHOLE_EVENTS, joined
 from pixelid.recordings.recording import Recording
@@ -95,7 +95,7 @@ def interpreted(raw: RawEvents, options: ReadingOptions) -> tuple[Recording, Ite
     size = options.size or (size_of_chip(options.chip) if options.chip else None) or raw.size
     unit, code = options.time_unit or raw.unit, options.polarity or raw.polarity
     statistics, blocks, widest = Statistics(), raw.blocks, (0, 0)
-    if None in size or unit is None or code is None or clock != "strict":
+    if None in (*size, unit, code, raw.tick_ns) or clock != "strict":
         statistics, blocks = _looked_at(raw)
         widest = statistics.side
         if raw.exposures is not None:
@@ -109,6 +109,8 @@ def interpreted(raw: RawEvents, options: ReadingOptions) -> tuple[Recording, Ite
         notes.append("addresses counted from one")
     elif statistics.least == (1, 1) and raw.size == (None, None) and not options.size:
         notes.append(f"addresses begin at 1: if they count from one, state it: {OPTION['size']}")
+    if unit is not None and unit not in NS_PER_UNIT:
+        raise InputError(f"{raw.where}/t: expected unit {' or '.join(NS_PER_UNIT)}, found {unit!r}")
     if unit is None:
         unit, why = infer_unit(statistics, raw.where)
         inferred |= {"time_unit": (unit, why)} if statistics.events else {}
@@ -116,16 +118,15 @@ def interpreted(raw: RawEvents, options: ReadingOptions) -> tuple[Recording, Ite
         code = infer_polarity(statistics.codes, raw.where)
         if code == "pm1":
             inferred["polarity"] = (code, ": −1 is OFF")
-    stretch: tuple[int, int] | None = None
+    settled = _Settled(raw, unit, (int(size[0] or 1), int(size[1] or 1)), code, first)
+    stretch, sorts = None, bool(clock == "sort" and statistics.fall_count)
     if clock.startswith("split") and statistics.fall_count:
         stretch, inferred["clock"] = _stretch(statistics, clock, raw.where)
-    elif clock == "sort" and statistics.fall_count:
+    if sorts:
         notes.append(f"sorted by time: {statistics.fall_count} events were earlier than the one before")
-    source = Source(stated, inferred, tuple(notes), raw.streams)
-    attributes = source.kept_in(raw.head.attributes)
-    settled = _Settled(raw, unit, (int(size[0] or 1), int(size[1] or 1)), code, first)
+    attributes = Source(stated, inferred, tuple(notes), raw.streams).kept_in(raw.head.attributes)
     counted = not statistics.floating or ("time_unit" in inferred and statistics.whole)
-    tick_ns = raw.tick_ns or (NS_PER_UNIT.get(unit, 1) if counted else 1)
+    tick_ns = raw.tick_ns or (NS_PER_UNIT[unit] if counted else last_decimal_ns(statistics.spacing, unit))
     exposures = None
     if raw.exposures is not None:
         exposures = joined(*interpreted(raw.exposures, replace(options, size=settled.size, clock=None))).events
@@ -135,10 +136,7 @@ def interpreted(raw: RawEvents, options: ReadingOptions) -> tuple[Recording, Ite
         attributes=attributes,
         exposures=exposures,
     )
-    if clock == "sort" and statistics.fall_count:
-        columns = _sorted(settled, blocks)
-    else:
-        columns = _of_stretch(settled, blocks, stretch)
+    columns = _sorted(settled, blocks) if sorts else _of_stretch(settled, blocks, stretch)
     return replace(head, triggers=None), _parts(head, columns, raw)
 
 
@@ -220,7 +218,8 @@ def _whole(column: np.ndarray, where: str) -> np.ndarray:
     if column.dtype.kind != "f":
         return column
     if not np.all(np.isfinite(column) & (column == np.rint(column)) & (np.abs(column) < 2**53)):
-        raise InputError(f"{where}: expected integers, found {column[column != np.rint(column)][:1].tolist() or 'NaN'}")
+        found = column[column != np.rint(column)][:1].tolist() or "NaN"
+        raise InputError(f"{where}: expected integers, found {found}; write whole pixels, counted from 0")
     return column.astype(np.int64)
 
 

@@ -103,9 +103,8 @@ def open_recordings(
     opened = []
     for file in (file for path in paths for file in _files(Path(path))):
         first = as_whole(open_cropped(file, cut, seed, options))
-        number, _, count = str(
-            Source.from_dict(first.attributes.get(ATTRIBUTE)).inferred.get("clock", ("",))[0]
-        ).partition("/")
+        clock = Source.from_dict(first.attributes.get(ATTRIBUTE)).inferred.get("clock", ("",))[0]
+        number, _, count = str(clock).partition("/")
         opened.append(first)
         for k in range(2, int(count) + 1) if number == "1" and (options_for(file, options).clock == "split") else ():
             again = replace(options_for(file, options), clock=f"split:{k}")
@@ -174,7 +173,10 @@ def _reader(path: Path, head: bytes) -> str:
         return "decoded"
     if head.startswith((b"\x1f\x8b", b"PK\3\4", b"BZh", b"\xfd7zXZ")):
         raise InputError(f"{path}: expected a recording, found a packed file; unpack it first")
-    raise InputError(f"{path}: expected a recording ({READABLE}), found {suffix or 'a file without extension'}")
+    raise InputError(
+        f"{path}: expected a recording ({READABLE}), found {suffix or 'a file without extension'}; "
+        "columns t, x, y, p of .csv or .npz are read"
+    )
 
 
 def _is_table(head: bytes) -> bool:

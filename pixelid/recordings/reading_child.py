@@ -18,17 +18,16 @@ import numpy as np
 
 from pixelid.errors import InputError, on_command_line
 from pixelid.recordings.answers import send, taken_apart
-from pixelid.recordings.parts import as_long, joined
 from pixelid.recordings.raw import interpreted
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.source import ReadingOptions
 
-READERS = {  # name → module with the function `opened`, which finds the columns, or `read`
-    name: f"pixelid.recordings.{name}"
-    for name in ("aedat2", "decoded", "frames", "hdf5", "matlab", "npz", "ros", "text")
+READERS = {  # name → module with the function `opened`, which finds the columns
+    name: f"pixelid.recordings.{name}" for name in ("aedat2", "decoded", "hdf5", "matlab", "npz", "ros", "text")
 }
 FUNCTIONS = {  # name → module with a generator of that name: (path, arguments) → arrays by name
     "picture": "pixelid.recordings.pictures", "video": "pixelid.recordings.pictures",
+    "frames": "pixelid.recordings.frames",
     "event_blocks": "pixelid.nerf.data.published.hdf5_events",
 }  # fmt: skip
 LIBRARIES = {  # what readers import; that takes a second, which is none of a file's
@@ -62,19 +61,18 @@ def serve() -> None:
 
 
 def _answers(request: dict[str, Any]) -> Iterator[tuple[dict[str, Any], dict[str, np.ndarray]]]:
-    """What answers a request: headers, each with its columns."""
+    """What answers a request: headers, each with its columns; at last nothing."""
     name, path = request["reader"], Path(request["path"])
     try:
         if "arguments" in request:
             for found in getattr(importlib.import_module(FUNCTIONS[name]), name)(path, **request["arguments"]):
                 yield {"arrays": True}, found
-                if not request["stream"]:
-                    return
         else:
-            for recording in recordings_of(name, path, request.get("options", {}), request.get("stream", False)):
-                yield taken_apart(recording)
-        if "arguments" in request or request.get("stream"):
-            yield {}, {}
+            recordings = recordings_of(name, path, request["options"])
+            yield taken_apart(next(recordings))
+            for part in recordings:
+                yield taken_apart(Recording(part.events, triggers=part.triggers))
+        yield {}, {}
     except InputError as error:
         with on_command_line():  # as it was raised: whoever reads it spells it
             yield {"error": str(error)}, {}
@@ -85,28 +83,16 @@ def _answers(request: dict[str, Any]) -> Iterator[tuple[dict[str, Any], dict[str
         yield {"error": f"{path}: damaged ({type(error).__name__}: {reason})"}, {}
 
 
-def recordings_of(
-    reader: str, path: Path, options: dict[str, Any] | None = None, in_parts: bool = False
-) -> Iterator[Recording]:
-    """The recording in a file as a reader of `READERS` finds it, or a head and its parts."""
-    module = importlib.import_module(READERS[reader])
-    if not hasattr(module, "opened"):
-        whole = module.read(path)
-        long = as_long(whole)
-        yield from (long.head, *long.read()) if in_parts else (whole,)
-        return
+def recordings_of(reader: str, path: Path, options: dict[str, Any] | None = None) -> Iterator[Recording]:
+    """The recording in a file as a reader of `READERS` finds it: without its events, then its parts."""
     stated = ReadingOptions.of(options or {})
-    raw = module.opened(path, stated)
+    raw = importlib.import_module(READERS[reader]).opened(path, stated)
     try:
         head, parts = interpreted(raw, stated)
-        if in_parts:
-            yield head
-            yield from parts
-            return
-        whole = joined(head, parts)
+        yield head
+        yield from parts
     finally:
         raw.close()
-    yield whole
 
 
 def _limit(cpu_s: float, memory: int) -> None:

@@ -54,7 +54,7 @@ class Recording:
         share = "" if on is None else f", {100 * on:.0f} % ON"
         light = "light unknown" if self.stimulus is None else repr(self.stimulus)
         return (
-            f"Recording {self.name!r}: {len(e)} {_kind_of(self)} of {e.width} × {e.height} pixels in "
+            f"Recording {self.name!r}: {len(e)} {'pooled ' * self.pooled}events of {e.width} × {e.height} pixels in "
             f"{e.duration_s:.4g} s{share}; {light}"
         )
 
@@ -140,10 +140,6 @@ def _way(t: np.ndarray, light_s: float) -> str:
     return (
         "if the light has its own clock, say where it starts: pixelid convert --align trigger|first-event|auto|SECONDS"
     )
-
-
-def _kind_of(recording: Recording) -> str:
-    return "pooled events" if recording.pooled else "events"
 
 
 def _drains(t: np.ndarray, late: np.ndarray) -> bool:

@@ -13,7 +13,7 @@ Records of events are read as arrays, not message by message: their layout is fi
 
 from __future__ import annotations
 
-import tempfile
+import io
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -23,9 +23,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pixelid.errors import InputError, first_line
+from pixelid.errors import InputError
+from pixelid.recordings import evt
 from pixelid.recordings.columns import Rollovers
-from pixelid.recordings.decoded import decode_evt
+from pixelid.recordings.damage import refusing
 from pixelid.recordings.events import Events
 from pixelid.recordings.raw import Block, RawEvents
 from pixelid.recordings.recording import Recording
@@ -35,12 +36,11 @@ from pixelid.recordings.source import ReadingOptions
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
 
-RECORDS = ("dvs_msgs", "prophesee_event_msgs")
+RECORDS = ("dvs_msgs/msg/EventArray", "prophesee_event_msgs/msg/EventArray")
 PACKETS = "event_camera_msgs/msg/EventPacket"
 ROS1_RECORD = np.dtype([("x", "<u2"), ("y", "<u2"), ("s", "<u4"), ("ns", "<u4"), ("p", "u1")])
-# CDR: the first record begins on a multiple of four, the others two bytes after one
-CDR_FIRST = np.dtype([("x", "<u2"), ("y", "<u2"), ("s", "<i4"), ("ns", "<u4"), ("p", "u1"), ("", "u1")])
-CDR_OTHERS = np.dtype([("x", "<u2"), ("y", "<u2"), ("", "u2"), ("s", "<i4"), ("ns", "<u4"), ("p", "u1"), ("", "u1")])
+# CDR: two bytes after a multiple of four; only the first record begins on one, and lacks the two before its time
+CDR_RECORD = np.dtype([("x", "<u2"), ("y", "<u2"), ("", "u2"), ("s", "<i4"), ("ns", "<u4"), ("p", "u1"), ("", "u1")])
 LIBCAER = np.dtype([("address", "<u4"), ("t", "<u4")])
 ROLLOVER_US = 1 << 31
 
@@ -52,10 +52,10 @@ def opened(path: Path, options: ReadingOptions) -> RawEvents:
         InputError: for a damaged bag, one without events, and encodings that are not read.
     """
     with opened_bag(path) as bag:
-        topics = [c for c in bag.connections if c.msgtype == PACKETS or c.msgtype in record_types()]
+        topics = [c for c in bag.connections if c.msgtype == PACKETS or c.msgtype in RECORDS]
         if not topics:
             found = ", ".join(sorted({c.msgtype for c in bag.connections})) or "nothing"
-            raise InputError(f"{path}: expected a topic of events ({PACKETS}, {record_types()[0]}), found {found}")
+            raise InputError(f"{path}: expected a topic of events ({PACKETS}, {RECORDS[0]}), found {found}")
         every = list(dict.fromkeys(c.topic for c in topics))
         filled = list(dict.fromkeys(c.topic for c in topics if c.msgcount))
         if len(filled) > 1 and options.stream is None:
@@ -87,19 +87,11 @@ def opened_bag(path: Path) -> Iterator[AnyReader]:
     from rosbags.rosbag2 import ReaderError as Ros2Error
     from rosbags.typesys import Stores, get_typestore
 
-    try:
-        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as bag:
-            yield bag
-    except InputError:
-        raise
-    except (AnyReaderError, Ros1Error, Ros2Error, OSError, ValueError, KeyError, IndexError, AssertionError) as error:
-        reason = first_line(error)[:120]
-        raise InputError(f"{path}: expected a ROS bag, found a damaged or different file ({reason})") from None
-
-
-def record_types() -> tuple[str, ...]:
-    """The message types whose events are records."""
-    return tuple(f"{package}/msg/EventArray" for package in RECORDS)
+    kinds = AnyReaderError, Ros1Error, Ros2Error, OSError, ValueError, KeyError, IndexError, AssertionError
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    what = "expected a ROS bag, found a damaged or different file"
+    with refusing(path, what, *kinds), AnyReader([path], default_typestore=store) as bag:
+        yield bag
 
 
 class _Message:
@@ -158,12 +150,8 @@ def _packets(path: Path, messages: list[bytes], cdr: bool, raw: RawEvents) -> Ra
 
     def blocks() -> Iterator[Block]:
         if encoding == "libcaer":
-            yield Block.of(_libcaer(payload, raw.where))
-            return
-        with tempfile.TemporaryDirectory() as folder:
-            copy = Path(folder) / "payload.raw"
-            copy.write_bytes(f"% evt 3.0\n% geometry {size[0]}x{size[1]}\n% end\n".encode() + payload)
-            yield from decode_evt(copy, path)
+            return iter([_libcaer(payload, raw.where)])
+        return evt.decode(io.BytesIO(payload), "3.0", path)
 
     return replace(raw, head=head, blocks=blocks, unit="us", tick_ns=1000, size=size, notes=notes)
 
@@ -179,25 +167,22 @@ def _packet(message: _Message) -> tuple[tuple[int, int], int, str, int]:
     return (width, height), number, encoding, message.number(4)
 
 
-def _libcaer(payload: bytes, where: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """(t µs, x, y, p) of libcaer's polarity events, from the first event on, the clock's rollovers undone."""
+def _libcaer(payload: bytes, where: str) -> Block:
+    """Columns, t in µs, of libcaer's polarity events, from the first event on, the clock's rollovers undone."""
     if len(payload) % LIBCAER.itemsize:
         raise InputError(f"{where}: expected 8 bytes per libcaer event, found {len(payload) % LIBCAER.itemsize} over")
     words = np.frombuffer(payload, LIBCAER)
     words = words[words["address"] & 1 == 1]
     address, t = words["address"], Rollovers(ROLLOVER_US).undone(words["t"])
-    return t - t[:1].sum(), address >> 17, address >> 2 & 0x7FFF, address >> 1 & 1
+    return Block(t - t[:1].sum(), address >> 17, address >> 2 & 0x7FFF, address >> 1 & 1)
 
 
 def _records(path: Path, messages: list[bytes], cdr: bool, raw: RawEvents) -> RawEvents:
     """Events of `EventArray` messages; some drivers write those of a message in the order of their rows."""
     size, blocks, reordered = (0, 0), [], 0
     for data in messages:
-        stated, found = record_columns(data, cdr, path)
+        stated, (t, x, y, p) = record_columns(data, cdr, path)
         size = max(size[0], stated[0]), max(size[1], stated[1])
-        if not found:
-            continue
-        t, x, y, p = (np.concatenate([part[k] for part in found]) for k in range(4))
         fallen = int(np.count_nonzero(np.diff(t) < 0))
         if fallen:
             order = np.argsort(t, kind="stable")
@@ -220,14 +205,13 @@ def header_stamp(data: bytes, cdr: bool, path: Path) -> int:
     return message.number(4) * 1_000_000_000 + message.number(4)
 
 
-def record_columns(data: bytes, cdr: bool, path: Path) -> tuple[tuple[int, int], list[tuple[np.ndarray, ...]]]:
-    """((width, height), columns (t ns, x, y, p) in one or two pieces) of an `EventArray` message."""
+def record_columns(data: bytes, cdr: bool, path: Path) -> tuple[tuple[int, int], tuple[np.ndarray, ...]]:
+    """((width, height), columns (t ns, x, y, p)) of an `EventArray` message."""
     message = _Message(data, cdr, path)
     size, count = _record_head(message)
-    parts = _cdr_records(message, count) if cdr else [_ros1_records(message, count)]
-    return size, [
-        (part["s"].astype(np.int64) * 1_000_000_000 + part["ns"], part["x"], part["y"], part["p"]) for part in parts
-    ]
+    packed = count * ROS1_RECORD.itemsize
+    events = _cdr_records(message, count) if cdr else np.frombuffer(message.rest(packed), ROS1_RECORD)
+    return size, (events["s"].astype(np.int64) * 1_000_000_000 + events["ns"], events["x"], events["y"], events["p"])
 
 
 def _record_head(message: _Message) -> tuple[tuple[int, int], int]:
@@ -237,16 +221,9 @@ def _record_head(message: _Message) -> tuple[tuple[int, int], int]:
     return (width, height), count
 
 
-def _ros1_records(message: _Message, count: int) -> np.ndarray:
-    return np.frombuffer(message.rest(count * ROS1_RECORD.itemsize), ROS1_RECORD)
-
-
-def _cdr_records(message: _Message, count: int) -> list[np.ndarray]:
-    """The first record, and the others; the message ends without the padding of the last."""
+def _cdr_records(message: _Message, count: int) -> np.ndarray:
+    """Records of a message that ends without the padding of the last."""
     if message.order != "<":
         raise InputError(f"{message.path}: expected little-endian messages, found big-endian")
-    if count == 0:
-        return []
-    size = CDR_FIRST.itemsize + (count - 1) * CDR_OTHERS.itemsize
-    data = message.rest(size - 1) + b"\0"
-    return [np.frombuffer(data, CDR_FIRST, 1), np.frombuffer(data, CDR_OTHERS, count - 1, CDR_FIRST.itemsize)]
+    data = message.rest(count * CDR_RECORD.itemsize - 3) if count else b""
+    return np.frombuffer(data[:4] + b"\0\0" + data[4:] + b"\0" if count else b"", CDR_RECORD)

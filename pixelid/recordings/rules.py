@@ -32,7 +32,7 @@ NAMES = {
 }  # fmt: skip
 IN_PIXELS = re.compile(r"(\w+?)(?:\s*[\[(]\s*|_)(?:px|pix|pixels?)[\])]?")  # x [px]
 WORDS = {"on": 1, "off": 0, "+": 1, "-": 0, "pos": 1, "neg": 0, "positive": 1, "negative": 0, "true": 1, "false": 0,
-         "t": 1, "f": 0}  # fmt: skip
+         "t": 1, "f": 0, "up": 1, "down": 0, "brighter": 1, "darker": 0, "increase": 1, "decrease": 0}  # fmt: skip
 ORDERS = [o for o in map("".join, permutations("txyp")) if o.index("x") < o.index("y")]  # nobody writes y x
 ROWS = 1 << 12  # of columns without names, by which their order is inferred
 MOST_ADDRESS = 1 << 16
@@ -72,12 +72,15 @@ def named_columns(names: Sequence[str], columns: Sequence[str] = ()) -> tuple[li
     Returns:
         Indices, or None where any is missing; the unit or None.
     """
-    plain = [column_name(name) for name in names]
+    shared = names[0][: names[0].rfind("_") + 1] if names else ""  # events_t, events_x, …
+    shared = shared if all(name.startswith(shared) for name in names) else ""
+    plain = [column_name(name.removeprefix(shared)) for name in names]
     place: list[int | None] = []
     for letter in "txyp":
         stated = next((k for k, word in enumerate(columns) if word.partition("=")[0].strip() == letter), None)
         if stated is None:
-            place.append(next((k for k, (name, _) in enumerate(plain) if name in NAMES[letter]), None))
+            found = sorted((NAMES[letter].index(name), k) for k, (name, _) in enumerate(plain) if name in NAMES[letter])
+            place.append(found[0][1] if found and (letter != "t" or len(found) == 1) else None)  # times of two clocks
         elif "=" not in columns[stated]:
             place.append(stated if stated < len(names) else None)
         else:
@@ -188,7 +191,7 @@ class Statistics:
 
     Attributes:
         falls: indices of events that are earlier than the one before, the first `FALLS_KEPT`.
-        largest_fall: in units of t.
+        spacing: of floating times as large as the largest, in their unit.
     """
 
     events: int = 0
@@ -196,6 +199,7 @@ class Statistics:
     high: float = -np.inf
     last: Any = None
     floating: bool = False
+    spacing: float = 0.0
     whole: bool = True
     on_grid: bool = True
     distinct: int = 0
@@ -214,7 +218,7 @@ class Statistics:
             return
         for name, column in zip("txyp", (t, x, y, p), strict=True):
             if column.dtype.kind not in "iufb":
-                found = f"{shown(str(column[0]), 30)}; another column may be meant: {OPTION['columns']}"
+                found = f"{shown(str(column[0]), 30)}; write numbers, or state another column: {OPTION['columns']}"
                 raise InputError(f"{where}/{name}: expected numbers, found {found}")
         if t.dtype.kind == "u":  # differences of unsigned numbers do not fall
             t = t.astype(np.int64 if t.max() < 1 << 63 else np.float64)
@@ -227,6 +231,7 @@ class Statistics:
         self.distinct += len(risen)
         if t.dtype.kind == "f":
             self.floating = True
+            self.spacing = max(self.spacing, float(np.spacing(np.abs(t).max())))
             self.whole &= bool(np.all(t == np.rint(t)))
         self.on_grid &= _all_on_grid(t, self.whole)
         self.low, self.high = min(self.low, float(t.min())), max(self.high, float(t.max()))
@@ -295,12 +300,12 @@ def infer_polarity(codes: set[float], where: str) -> str:
 
 def decoded_polarity(p: np.ndarray, code: str, where: str) -> np.ndarray:
     """(n,) 0 and 1 from a column in a code.  Raises InputError for other values."""
-    if code == "pm1":
-        if not np.all((p == 1) | (p == -1)):
-            raise InputError(
-                f"{where}/p: polarity must be 1 (ON) or −1 (OFF), found {shown(np.unique(p)[:5].tolist())}"
-            )
-        return (p > 0).astype(np.uint8)
+    if code == "pm1" or "/" in code:
+        off, on = map(int, ("-1/1" if code == "pm1" else code).split("/"))
+        if not np.all((p == on) | (p == off)):
+            must, found = f"{on} (ON) or {off} (OFF)".replace("-", "−"), shown(np.unique(p)[:5].tolist())
+            raise InputError(f"{where}/p: polarity must be {must}, found {found}")
+        return (p == on).astype(np.uint8)
     if code == "swapped":
         values = p > 0
         return (~values).astype(np.uint8) if np.isin(p, (-1, 0, 1)).all() else p

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from math import isqrt
 
 import numpy as np
 
@@ -26,9 +27,7 @@ def nearly_square(pixels: int) -> tuple[int, int]:
         raise InputError(f"--pixels: expected at least 1, found {pixels}")
     if pixels > LONGEST_SIDE_PIXELS**2:
         raise InputError(f"--pixels: expected at most {LONGEST_SIDE_PIXELS**2}, found {pixels}")
-    height = int(pixels**0.5)
-    while pixels % height:
-        height -= 1
+    height = next(side for side in range(isqrt(pixels), 0, -1) if pixels % side == 0)
     if pixels // height > LONGEST_SIDE_PIXELS:
         raise InputError(
             f"--pixels {pixels}: no sensor of that many pixels has sides up to {LONGEST_SIDE_PIXELS}; "

@@ -16,9 +16,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pixelid.recordings.alignment import GIVEN_SD_S, find_alignment, known_alignment
-from pixelid.recordings.alignment_from_events import LEAST_CHANGES, NEAR_S, EventAlignment, alignment_of
-from pixelid.recordings.alignment_search import is_too_long
-from pixelid.recordings.clocks import CRYSTAL, Alignment, ClockPrior
+from pixelid.recordings.alignment_from_events import LEAST_CHANGES, EventAlignment, alignment_of
+from pixelid.recordings.alignment_search import NEAR_S, is_too_long
+from pixelid.recordings.clocks import Alignment
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.session_cases import Case, SharedRate, cases_of, is_constant, shared_rate
 from pixelid.statistics import Z95
@@ -26,8 +26,8 @@ from pixelid.stimuli.pixel_lights import Light
 
 CONTRADICTED = 4.0  # standard errors: 6e-5 of a true statement, so that a session of a dozen has few false doubts
 COVERS = 0.98  # share of the changes within a light that covers the events
-WIDEST_S = 0.02  # equal offsets within this are one, known as badly: what a fit may move (likelihood/clocks.py)
 DRAWN_S = 0.05  # of the evidence, on either side
+WIDEST_S = 0.02  # equal offsets within this are one, known as badly: what a fit may move (likelihood/clocks.py)
 
 
 @dataclass(frozen=True)
@@ -46,14 +46,6 @@ class BenchDoubt:
 
 
 @dataclass(frozen=True)
-class OffsetEvidence:
-    """Mean loss of the events' changes by offset: lags_s (k,) from the offset chosen, loss (k,)."""
-
-    lags_s: np.ndarray
-    loss: np.ndarray
-
-
-@dataclass(frozen=True)
 class RecordingAlignment:
     """How one recording of a session is aligned.
 
@@ -61,6 +53,7 @@ class RecordingAlignment:
     method: "trigger", "auto", "given", "first-event", "inherited" (the rate, and placed under the light) or "none"
     offset_s, interval_95: the light's first sample on the camera's clock
     clock_rate_error, clock_rate_interval_95: see `Alignment`
+    evidence: (2, k) lags (s) from the offset chosen, and mean loss of the events' changes there
     light: name of the recording whose light it follows;  polarity: −1 where ON and OFF are exchanged
     """
 
@@ -71,7 +64,7 @@ class RecordingAlignment:
     interval_95: tuple[float, float] | None
     clock_rate_error: float
     clock_rate_interval_95: tuple[float, float]
-    evidence: OffsetEvidence | None
+    evidence: np.ndarray | None
     sentence: str
     light: str
     polarity: int = 1
@@ -125,7 +118,7 @@ def _placed(case: Case, rate: SharedRate, others: SharedRate) -> RecordingAlignm
         if by_edges is not None:
             return _result(case, by_edges, rate, by_edges.sentence(), doubts)
     if events is not None:
-        alignment = _with_start(alignment_of(events, case.light), case.light)
+        alignment = alignment_of(events, case.light)
         note = "" if not events.equal_rivals else "; the light repeats itself and covers the events only there"
         return _result(case, alignment, rate, alignment.sentence() + note, doubts)
     if case.events is not None and case.events.follows:
@@ -137,9 +130,8 @@ def _placed(case: Case, rate: SharedRate, others: SharedRate) -> RecordingAlignm
         if case.events is not None or len(case.recording.events) > LEAST_CHANGES:
             return _result(case, None, rate, f"not aligned: {reason}", doubts)
     alignment = _inherited(case, rate)
-    why = "no events" if not len(case.recording.events) else "constant light"
-    if why == "constant light" and not is_constant(case.light):
-        why = "too few events"
+    why = "constant light" if is_constant(case.light) else "too few events"
+    why = why if len(case.recording.events) else "no events"
     return _result(case, alignment, rate, f"{why}: any start serves that covers the events", doubts)
 
 
@@ -159,11 +151,10 @@ def _identified(case: Case, rate: SharedRate) -> EventAlignment | None:
 
 def _with_rate(given: Alignment, case: Case, rate: SharedRate) -> Alignment:
     """What was stated of the delay, with the session's rate."""
-    if given.prior is None:
+    if given.prior is None or given.prior.delay_sd_s is None:
         return given
-    known = replace(given.prior, rate_mean=rate.mean, rate_sd=rate.sd)
-    alignment = known_alignment(given.offset_s, given.method, known, case.light, rate.mean)
-    return _with_start(replace(alignment, prior=given.prior), case.light)
+    at_s, sd = given.prior.at_s, given.prior.delay_sd_s
+    return known_alignment(given.offset_s, given.method, at_s, sd, case.light, rate.mean, rate.sd)
 
 
 def _hypothesis_doubts(case: Case) -> list[BenchDoubt]:
@@ -182,20 +173,17 @@ def _delay_doubt(case: Case, events: EventAlignment | None, given: Alignment) ->
     """Where the events put the light's first sample elsewhere than a statement with an error of its own does."""
     if events is None:
         return None
-    assert given.start_half_s is not None
-    start = case.light.start_s
-    late = events.offset_s + (1.0 + events.rate_error) * start - given.offset_s - (1.0 + given.rate_error) * start
-    sd = float(np.hypot(events.sd_at(start), given.start_half_s / Z95))
-    if abs(late) <= CONTRADICTED * sd:
-        return None
-    return _delay(case, -late, sd, "the start stated for the light")
+    assert given.start_s is not None and given.start_half_s is not None  # noqa: PT018
+    late, sd = _later(events, given.start_s, case.light.start_s, given.start_half_s / Z95)
+    return None if abs(late) <= CONTRADICTED * sd else _delay(case, late, sd, "the start stated for the light")
 
 
 def _by_edges(
     case: Case, events: EventAlignment | None, rate: SharedRate, others: SharedRate
 ) -> tuple[Alignment | None, list[BenchDoubt]]:
     """(the alignment by the edge that stands, None where none does; what contradicts the others)."""
-    late = [] if events is None else [_later(case, events, k) for k in range(len(case.edges_s))]
+    stamps = zip(case.edges_s.tolist(), case.moments_s.tolist(), strict=True)
+    late = [] if events is None else [_later(events, at_s, moment, case.stamp_s) for at_s, moment in stamps]
     edge, doubts = 0, []
     if len(case.edges_s) == 2:
         between = float(np.diff(case.moments_s)[0])
@@ -222,17 +210,14 @@ def _by_edges(
         return None, [*doubts, _delay(case, *late[edge], which)]
     stamp = case.stamp_s if edge >= 0 else float(np.hypot(case.stamp_s, np.ptp(case.edges_s - case.moments_s) + 1e-6))
     at, moment = float(case.edges_s[edge]), float(case.moments_s[edge])
-    known = ClockPrior(moment, case.light.duration_s, stamp, rate.mean, rate.sd)
-    alignment = known_alignment(at - (1.0 + rate.mean) * moment, "trigger", known, case.light, rate.mean)
-    prior = ClockPrior(moment, case.light.duration_s, stamp, 0.0, CRYSTAL)
-    return _with_start(replace(alignment, prior=prior), case.light), doubts
+    offset = at - (1.0 + rate.mean) * moment
+    return known_alignment(offset, "trigger", moment, stamp, case.light, rate.mean, rate.sd), doubts
 
 
-def _later(case: Case, events: EventAlignment, edge: int) -> tuple[float, float]:
-    """(seconds by which an edge is later than the events put it, standard error)."""
-    moment = float(case.moments_s[edge])
-    late = float(case.edges_s[edge]) - events.offset_s - (1.0 + events.rate_error) * moment
-    return late, float(np.hypot(events.sd_at(moment), case.stamp_s))
+def _later(events: EventAlignment, at_s: float, moment: float, sd_s: float) -> tuple[float, float]:
+    """(seconds by which a moment of the light, stated at `at_s`, is later than by the events; standard error)."""
+    late = at_s - events.offset_s - (1.0 + events.rate_error) * moment
+    return late, float(np.hypot(events.sd_at(moment), sd_s))
 
 
 def _delay(case: Case, late_s: float, sd: float, what: str, why: str = "") -> BenchDoubt:
@@ -251,13 +236,7 @@ def _inherited(case: Case, rate: SharedRate) -> Alignment:
         offset = 0.5e-9 * float(events.t[0] + events.t[-1]) - (1.0 + rate.mean) * middle
     else:
         offset = -(1.0 + rate.mean) * light.start_s
-    known = ClockPrior(middle, light.duration_s, GIVEN_SD_S, rate.mean, rate.sd)
-    alignment = known_alignment(offset, "inherited", known, light, rate.mean)
-    return _with_start(replace(alignment, prior=replace(known, rate_mean=0.0, rate_sd=CRYSTAL)), light)
-
-
-def _with_start(alignment: Alignment, light: Light) -> Alignment:
-    return replace(alignment, start_s=alignment.offset_s + (1.0 + alignment.rate_error) * light.start_s)
+    return known_alignment(offset, "inherited", middle, GIVEN_SD_S, light, rate.mean, rate.sd)
 
 
 def _result(
@@ -281,12 +260,11 @@ def _result(
     )
 
 
-def _evidence(case: Case, alignment: Alignment | None) -> OffsetEvidence | None:
+def _evidence(case: Case, alignment: Alignment | None) -> np.ndarray | None:
     if case.events is None:
         return None
     lags, loss = case.events.profile
     if alignment is not None:  # as it differs at the events' middle
         apart = alignment.offset_s - case.events.offset_s
         lags = lags - apart - (alignment.rate_error - case.events.rate_error) * case.events.middle_s
-    drawn = (np.abs(lags) <= DRAWN_S) & np.isfinite(loss)
-    return OffsetEvidence(lags[drawn], loss[drawn])
+    return np.stack([lags, loss])[:, (np.abs(lags) <= DRAWN_S) & np.isfinite(loss)]

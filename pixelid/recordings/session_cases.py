@@ -101,26 +101,24 @@ def cases_of(recordings: Sequence[Recording], lights: Sequence[Light], stated: M
         recordings, lights: in the order that is stated.
         stated: of a recording's name, how it is aligned.
     """
-    found = _assigned(recordings, lights, 1)
-    if not all(one.as_stated for one in found.chosen):
-        exchanged = _assigned(recordings, lights, -1)
-        found = exchanged if exchanged.loss < found.loss - AS_STATED else found
+    chosen, loss = _assigned(recordings, lights, 1)
+    if not all(one.as_stated for one in chosen):
+        exchanged, lower = _assigned(recordings, lights, -1)
+        chosen = exchanged if lower < loss - AS_STATED else chosen
     return [
         _case(recording, lights[one.light], recordings[one.light].name, one, stated.get(recording.name, ""))
-        for recording, one in zip(recordings, found.chosen, strict=True)
+        for recording, one in zip(recordings, chosen, strict=True)
     ]
 
 
-@dataclass(frozen=True)
-class _Assigned:
-    """One hypothesis for each recording, and the loss of those with both polarities: others say nothing of these."""
+def _assigned(
+    recordings: Sequence[Recording], lights: Sequence[Light], polarity: int
+) -> tuple[list[_Hypothesis], float]:
+    """The best way to give every recording one light, with a polarity of the session.
 
-    chosen: list[_Hypothesis]
-    loss: float
-
-
-def _assigned(recordings: Sequence[Recording], lights: Sequence[Light], polarity: int) -> _Assigned:
-    """The best way to give every recording one light, with a polarity of the session."""
+    Returns:
+        One hypothesis for each recording, and the loss of those with both polarities: others say nothing of these.
+    """
     from scipy.optimize import linear_sum_assignment
 
     tried = [_hypotheses(i, recordings, lights, polarity) for i in range(len(recordings))]
@@ -140,7 +138,7 @@ def _assigned(recordings: Sequence[Recording], lights: Sequence[Light], polarity
         there = _Hypothesis(events, int(k), polarity, as_stated=k == i)
         chosen.append(min(able, key=lambda one: one.loss, default=there))
     both = np.array([_has_both(recording) for recording in recordings])
-    return _Assigned(chosen, float(loss[rows, columns][both].sum()))
+    return chosen, float(loss[rows, columns][both].sum())
 
 
 def _has_both(recording: Recording) -> bool:

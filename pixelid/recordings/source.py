@@ -20,7 +20,7 @@ from pixelid.errors import InputError, did_you_mean, shown
 ATTRIBUTE = "source"
 TIME_UNITS, POLARITIES, CLOCKS = ("s", "ms", "us", "ns"), ("01", "pm1", "swapped"), ("strict", "sort", "split")
 OPTION = {"time_unit": "--time-unit s|ms|us|ns", "size": "--size WxH", "columns": "--columns t,x,y,p",
-          "polarity": "--polarity 01|pm1|swapped", "clock": "--clock sort|split", "stream": "--stream NAME",
+          "polarity": "--polarity 01|pm1|swapped|OFF/ON", "clock": "--clock sort|split", "stream": "--stream NAME",
           "chip": "--chip NAME"}  # fmt: skip
 SUBJECT = {"time_unit": "t taken as", "size": "size", "columns": "columns taken as", "polarity": "polarity",
            "stream": "stream", "clock": "clock goes back: stretch"}  # fmt: skip
@@ -54,7 +54,7 @@ class ReadingOptions:
             columns that have names.
         stream: which of several streams, topics or arrays.
         chip: name of the sensor, whose size and address layout are known.
-        polarity: "01", "pm1" (−1 is OFF), or "swapped" (ON and OFF exchanged).
+        polarity: "01", "pm1" (−1 is OFF), "swapped" (ON and OFF exchanged), or both codes: "1/2" (2 is ON).
         clock: of times that fall: "strict" refuses, "sort" sorts, "split" or "split:K" reads the K-th stretch.
     """
 
@@ -113,7 +113,9 @@ def _checked(name: str, value: Any, where: str) -> Any:
         raise InputError(f"{where}: expected text, found {shown(value)}")
     known: tuple[str, ...] = {"time_unit": TIME_UNITS, "polarity": POLARITIES, "clock": CLOCKS}.get(name, ())
     value = value.replace("µ", "u") if name == "time_unit" else value
-    ok = value in known or (name == "clock" and re.fullmatch(r"split:[1-9]\d{0,5}", value))
+    ok = value in known or re.fullmatch(
+        {"clock": r"split:[1-9]\d{0,5}", "polarity": r"-?\d{1,5}/-?\d{1,5}"}.get(name, "(?!)"), value
+    )
     if known and not ok:
         raise InputError(f"{where}: expected {', '.join(known)}, found {shown(value)}{did_you_mean(value, known)}")
     if name == "chip" and size_of_chip(value) is None:
@@ -159,22 +161,17 @@ class Source:
 
     @classmethod
     def from_dict(cls, value: object) -> Source:
-        """Of an attribute, as far as it is one: files are not trusted."""
-        if not isinstance(value, dict):
+        """Of an attribute; empty where it is none: files are not trusted."""
+        try:
+            entries: dict[str, Any] = dict(value)  # type: ignore[call-overload]
+            inferred = {
+                name: (entry["value"], str(entry["why"])) for name, entry in entries.get("inferred", {}).items()
+            }
+            notes, streams = (tuple(map(str, entries.get(name, ()))) for name in ("notes", "streams"))
+            known = {name: entry for name, entry in inferred.items() if name in SUBJECT}
+            return cls(dict(entries.get("stated", {})), known, notes, streams)
+        except (AttributeError, LookupError, TypeError, ValueError):
             return cls()
-        inferred, notes = value.get("inferred"), value.get("notes")
-        entries = inferred.items() if isinstance(inferred, dict) else ()
-        kept = {
-            str(name): (entry.get("value"), str(entry.get("why", "")))
-            for name, entry in entries
-            if isinstance(entry, dict) and name in SUBJECT
-        }
-        stated, streams = value.get("stated"), value.get("streams")
-        return cls(
-            stated if isinstance(stated, dict) else {}, kept,
-            tuple(map(str, notes)) if isinstance(notes, list) else (),
-            tuple(map(str, streams)) if isinstance(streams, list) else (),
-        )  # fmt: skip
 
 
 def _words(value: Any) -> str:

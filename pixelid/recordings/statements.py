@@ -15,7 +15,7 @@ import numpy as np
 
 from pixelid.errors import InputError, shown
 from pixelid.recordings.metadata import MOST_SIZE, whole
-from pixelid.recordings.source import size_of_chip
+from pixelid.recordings.source import OPTION, size_of_chip
 from pixelid.time_units import SECONDS, UNIT_OF, plain
 
 Size = tuple[int | None, int | None]
@@ -83,9 +83,11 @@ def stated_unit(own: Mapping[str, Any], others: Iterable[Mapping[str, Any]], whe
     for holder in (own, *others):
         for name, value in holder.items():
             if name.lower() in UNITS and isinstance(value, str) and value:
-                unit = UNIT_OF.get(plain(value))
+                unit = UNIT_OF.get(plain(value)) or UNIT_OF.get(plain(value).partition(" since ")[0])
                 if unit is not None and SECONDS[unit] <= 1:
                     return unit
                 if holder is own or name.lower().startswith("t"):
-                    raise InputError(f"{where}/t: expected unit ns or us or ms or s, found {shown(value)}")
+                    raise InputError(
+                        f"{where}/t: expected unit ns or us or ms or s, found {shown(value)}; {OPTION['time_unit']}"
+                    )
     return None

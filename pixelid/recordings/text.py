@@ -14,7 +14,6 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
@@ -22,10 +21,11 @@ from typing import Any
 
 import numpy as np
 
-from pixelid.delimited import COMMENTS, DECIMAL_COMMA, HEAD_BYTES, NUMBER, SPACES, cells_of, encoding_of
+from pixelid.delimited import COMMENTS, DECIMAL_COMMA, HEAD_BYTES, NO_ROW, NUMBER, SPACES, cells_of, encoding_of
 from pixelid.errors import InputError, first_line, shown
 from pixelid.recordings import metadata
-from pixelid.recordings.events import NS_PER_UNIT, Events
+from pixelid.recordings.damage import refusing
+from pixelid.recordings.events import Events
 from pixelid.recordings.parts import LongRecording, as_long
 from pixelid.recordings.raw import Block, RawEvents
 from pixelid.recordings.recording import Recording
@@ -34,9 +34,10 @@ from pixelid.recordings.source import ReadingOptions, size_of_chip
 from pixelid.stimuli.pixel_lights import PixelLights
 from pixelid.time_units import UNIT_OF, plain, unit_in
 
-LINES_AT_ONCE = 1 << 19
+LINES_AT_ONCE, LINES_READ = 1 << 19, 1 << 12
 SIZE = re.compile(r"(?:geometry|size|resolution|sensor)\W+(\d{1,5})\s*[x×, ;]\s*(\d{1,5})", re.I)
 SIDES = re.compile(r"\b(?:(width)|(height)|(W)|(H))\W{1,3}(\d{1,5})\b", re.I)
+BINARY = ("expected text, found binary data", UnicodeError)
 BRACKETS = str.maketrans("[]()", "    ")  # of rows that are written as Python shows them
 
 
@@ -47,6 +48,7 @@ class _Header:
     meta: dict[str, Any] = field(default_factory=dict)
     light: dict[str, np.ndarray] | None = None
     names: list[str] | None = None
+    title: str = ""
     unit: str | None = None
     chip: tuple[tuple[tuple[int, int], str], ...] = ()
     size: tuple[int | None, int | None] = (None, None)
@@ -60,32 +62,20 @@ class _Header:
 def opened(path: Path, options: ReadingOptions) -> RawEvents:
     """What a text file holds; raises InputError for lines that are not numbers."""
     where = f"{path}: events"
-    with _text(path):
+    with refusing(path, *BINARY):
         header = _header(path)
         sample = next(_frames(path, header, where, ROWS), None)
     order, unit, inferred = _order(sample, header, options, where)
     unit = unit or header.meta.get("unit") or header.unit
-    if unit is not None and unit not in NS_PER_UNIT:
-        raise InputError(f"{where}/t: expected unit {' or '.join(NS_PER_UNIT)}, found {unit!r}")
-    floating = sample is not None and sample[order[0]].dtype.kind == "f"
-    tick_ns = header.meta.get("tick_ns") or (1 if unit is not None and floating else None)
 
     def blocks() -> Iterator[Block]:
-        with _text(path):
+        with refusing(path, *BINARY):
             for columns in _frames(path, header, where, LINES_AT_ONCE):
                 yield Block.of(columns[k] for k in order)
 
     head = metadata.assemble(header.meta, Events.empty(1, 1), header.light, path, str(path))
-    return RawEvents(head, blocks, where, unit, tick_ns, size=header.size, likely_sizes=header.chip, inferred=inferred,
-                     polarity="01" if header.meta else None)  # fmt: skip
-
-
-@contextmanager
-def _text(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except UnicodeError as error:
-        raise InputError(f"{path}: expected text, found binary data") from error
+    return RawEvents(head, blocks, where, unit, header.meta.get("tick_ns"), size=header.size, likely_sizes=header.chip,
+                     inferred=inferred, polarity="01" if header.meta else None)  # fmt: skip
 
 
 def _header(path: Path) -> _Header:
@@ -110,6 +100,7 @@ def _header(path: Path) -> _Header:
                 cells, mark = cells_of(text.translate(BRACKETS).strip() if text[0] in "[(" else text)
                 numbers = sum(NUMBER.fullmatch(cell) is not None for cell in cells)
                 if not numbers or (header.names is not None and any(_units(cells))):
+                    header.title = header.title or text  # comes again where files are joined
                     _note_names(header, cells if cells[-1] else cells[:-1])
                 elif len(cells) < len("txyp") and not NUMBER.fullmatch(cells[0]):  # width: 640
                     _note(header, text)
@@ -187,7 +178,8 @@ def _frames(path: Path, header: _Header, where: str, rows: int) -> Iterator[list
     done = 0
     try:
         with path.open(encoding=header.encoding) as file:
-            lines = (line for line in islice(file, header.lines, None) if not line.lstrip().startswith(COMMENTS))
+            lines = (line for line in islice(file, header.lines, None) if not NO_ROW.match(line))
+            lines = (line for line in lines if line.strip() != header.title)
             if header.first[0] in "[(":
                 lines = (line.translate(BRACKETS).strip() + "\n" for line in lines)
             source: Any = _Lines(lines)
@@ -208,7 +200,9 @@ def _frames(path: Path, header: _Header, where: str, rows: int) -> Iterator[list
         if isinstance(error, UnicodeError):
             raise
         reason = first_line(error)
-        raise InputError(f"{where}: expected lines of t x y p after event {done}, found: {reason}") from error
+        raise InputError(
+            f"{where}: expected lines of t x y p after event {done}, found: {reason}; remove or correct that line"
+        ) from error
 
 
 def _numbers(column: np.ndarray, where: str, before: int) -> np.ndarray:
@@ -226,21 +220,14 @@ class _Lines:
     """Lines as a file that pandas reads."""
 
     def __init__(self, lines: Iterator[str]) -> None:
-        self._lines, self._rest = lines, ""
+        self._lines = lines
 
     def __iter__(self) -> Iterator[str]:
         return self._lines
 
-    def read(self, count: int = -1) -> str:
-        """At least some characters, until there are none."""
-        held, size = [self._rest], len(self._rest)
-        while (size < count or count < 0) and (line := next(self._lines, "")):
-            held.append(line)
-            size += len(line)
-        text = "".join(held)
-        cut_at = len(text) if count < 0 else count
-        self._rest = text[cut_at:]
-        return text[:cut_at]
+    def read(self, _: int = -1) -> str:
+        """Some lines, until there are none."""
+        return "".join(islice(self._lines, LINES_READ))
 
 
 def _light(text: str, where: str) -> dict[str, np.ndarray]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 
 from pixelid.errors import InputError
@@ -11,15 +11,15 @@ from pixelid.outputs import whole_file
 from pixelid.recordings.parts import LongRecording
 from pixelid.recordings.recording import Recording
 
-WRITABLE = (".h5", ".hdf5", ".npz", ".csv", ".txt")
+WRITERS = {".h5": "hdf5_writing", ".hdf5": "hdf5_writing", ".npz": "npz", ".csv": "text", ".txt": "text"}  # modules
 
 
 def check_writable(path: str | Path) -> None:
     """Raise InputError when the extension of `path` names no format that can be written."""
     suffix = Path(path).suffix.lower()
-    if suffix not in WRITABLE:
+    if suffix not in WRITERS:
         found = suffix or "no extension"
-        raise InputError(f"{path}: expected an output ending in {', '.join(WRITABLE)}, found {found}")
+        raise InputError(f"{path}: expected an output ending in {', '.join(WRITERS)}, found {found}")
 
 
 def write_recording(
@@ -42,16 +42,8 @@ def write_recording(
     Raises:
         InputError: an unknown extension, an existing file without `overwrite`, a per-pixel stimulus in a text file.
     """
-    from pixelid.recordings import hdf5_writing, npz, text
-
     path = Path(path)
     check_writable(path)
-    writers = {
-        ".h5": hdf5_writing.write,
-        ".hdf5": hdf5_writing.write,
-        ".npz": partial(npz.write, progress=progress),
-        ".csv": text.write,
-        ".txt": text.write,
-    }
+    module = importlib.import_module(f"pixelid.recordings.{WRITERS[path.suffix.lower()]}")
     with whole_file(path, overwrite) as temporary:
-        writers[path.suffix.lower()](recording, temporary)
+        module.write(recording, temporary, **({"progress": progress} if module.__name__.endswith("npz") else {}))

@@ -23,6 +23,7 @@ from pixelid.delimited import (
     COMMENTS,
     CONTROL,
     HEAD_BYTES,
+    NO_ROW,
     SPACES,
     cells_of,
     encoding_of,
@@ -151,7 +152,7 @@ def _parsed(lines: list[str], path: Path, stated: tuple[str | int, ...] = ()) ->
     """Comments, names and rows of the lines of a table; of those that are stated by number, the rows where they are."""
     remarks = [line for line in lines[:HEAD_ROWS] if line.lstrip().startswith(COMMENTS)]
     table = _Table(comments=" ".join(remarks))
-    lines = [line for line in lines if line.strip() and not line.lstrip().startswith(COMMENTS)]
+    lines = [line for line in lines if not NO_ROW.match(line)]
     if len(lines) < 2:
         raise InputError(f"{path}: expected a header t,radiance and at least two rows, found {len(lines)} lines")
     table.mark = mark = cells_of(lines[-1].strip())[1]
@@ -161,7 +162,10 @@ def _parsed(lines: list[str], path: Path, stated: tuple[str | int, ...] = ()) ->
     if first is None:
         first = 1  # what is no number is named where it is read
     table.head = [split(line.strip(), mark) for line in lines[:first]]
-    table.lines = lines[first:]
+    header = set(lines[:first])  # comes again where files are joined
+    table.lines = [line for line in lines[first:] if line not in header]
+    if not table.lines:
+        raise InputError(f"{path}: expected a header t,radiance and at least two rows, found the header only")
     cells = [split(line.strip(), mark) for line in lines[first : first + HEAD_ROWS]]
     table.rows = with_points(cells, mark, str(path))
     if table.rows != cells and mark == ",":  # in quotes

@@ -103,11 +103,11 @@ def counted(head: Sequence[Sequence[str]]) -> tuple[float, float] | None:
         places = {name.strip().lower(): place for place, name in enumerate(names)}
         if {"start", "increment"} <= set(places) and max(places["start"], places["increment"]) < len(values):
             start, increment = _float(values[places["start"]]), _float(values[places["increment"]])
-            if increment > 0:
+            if 0 < increment < np.inf:
                 return start, increment
     found = dict(SETTING.findall(" ".join(cell for row in head for cell in row)))
     start, increment = _float(found.get("t0", "")), _float(found.get("tInc", ""))
-    return (start, increment) if increment > 0 else None
+    return (start, increment) if 0 < increment < np.inf else None
 
 
 def _float(cell: str) -> float:

@@ -19,7 +19,7 @@ from pixelid.model.shipped import find_model
 from pixelid.outputs import plain
 from pixelid.recordings import open_recording, write_recording
 from pixelid.recordings.alignment import aligned, find_alignment
-from pixelid.recordings.crop import crop
+from pixelid.recordings.crop import Crop
 from pixelid.recordings.triggers import Triggers
 from pixelid.sample.target import Target
 from pixelid.simulate import simulate
@@ -154,7 +154,7 @@ def fitted_after(folder, how: str, edges: int):
     light = load_stimulus(str(folder / "light.csv"))
     camera = replace(camera, triggers=Triggers(*(column[:edges] for column in vars(camera.triggers).values())))
     recording = aligned(camera, light, find_alignment(camera, light, how))
-    recording = crop(recording, pixels=9, seed=0)
+    recording = Crop(pixels=9).applied(recording, 0)
     return [recording], fit([recording], find_model("dvs128"), starts=0, between="linear", engine="scipy")
 
 
@@ -198,7 +198,7 @@ def test_without_a_trigger_the_delay_is_the_clocks_and_the_readouts(session):
 
 def test_results_without_alignments_have_none(session):
     _, recording = session
-    result = fit([crop(recording, pixels=4)], find_model("dvs128"), starts=0, between="linear", engine="scipy")
+    result = fit([Crop(pixels=4).applied(recording)], find_model("dvs128"), starts=0, between="linear", engine="scipy")
     assert result.alignment == {}
     assert not result.coordinates.nuisances
     assert "clocks" not in result.details["curvature"]
@@ -236,13 +236,12 @@ def test_what_cannot_be_done_is_said(session, tmp_path, capsys, words, says):
 def test_crops(session):
     _, recording = session
     events = recording.events
-    part = crop(recording, roi=(1, 2, 3, 5), time_s=(0.2, 0.6))
+    part = Crop(roi=(1, 2, 3, 5), time_s=(0.2, 0.6)).applied(recording)
     inside = (events.x >= 1) & (events.x < 3) & (events.y >= 2) & (events.t >= 2e8) & (events.t < 6e8)
     np.testing.assert_array_equal(part.events.t, events.t[inside])
     assert part.stimulus is not None
     assert 0.6 <= part.stimulus.t[-1] <= 0.61
-    some = crop(recording, pixels=7, seed=1)
+    some = Crop(pixels=7).applied(recording, 1)
     assert len(np.unique(some.events.pixel)) == 7
-    np.testing.assert_array_equal(some.events.t, crop(recording, pixels=7, seed=1).events.t)
-    assert set(np.unique(crop(recording, pixels=7, seed=2).events.pixel)) != set(np.unique(some.events.pixel))
-    assert 3 not in crop(recording, without=np.array([3, 4])).events.pixel
+    np.testing.assert_array_equal(some.events.t, Crop(pixels=7).applied(recording, 1).events.t)
+    assert set(np.unique(Crop(pixels=7).applied(recording, 2).events.pixel)) != set(np.unique(some.events.pixel))

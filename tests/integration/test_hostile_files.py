@@ -76,9 +76,9 @@ def test_mutated_files(originals, tmp_path_factory, suffix, data):
 def test_a_crashing_decoder_is_one_line_and_the_next_file_is_read(tmp_path, monkeypatch):
     from pixelid.recordings import isolated
 
-    (tmp_path / "crash.py").write_text("import os\ndef read(path):\n    os.abort()\n")
-    (tmp_path / "loop.py").write_text("def read(path):\n    while True: pass\n")
-    (tmp_path / "greedy.py").write_text("def read(path):\n    return bytearray(1 << 40)\n")
+    (tmp_path / "crash.py").write_text("import os\ndef opened(path, options):\n    os.abort()\n")
+    (tmp_path / "loop.py").write_text("def opened(path, options):\n    while True: pass\n")
+    (tmp_path / "greedy.py").write_text("def opened(path, options):\n    return bytearray(1 << 40)\n")
     events = Events.from_columns([1], [0], [0], [1], 1, 1)
     write_recording(Recording(events), tmp_path / "good.npz")
     child = (
@@ -112,11 +112,11 @@ def readers(tmp_path, monkeypatch):
     """A child that reads slowly, and one that waits for what never comes."""
     from pixelid.recordings import isolated
 
-    slow = "import time\nfrom pixelid.recordings.reading_child import recordings_of\n"
-    slow += "def read(path):\n    end = time.process_time() + 0.5\n"
-    slow += "    while time.process_time() < end: pass\n    return next(recordings_of('npz', path))\n"
+    slow = "import time\nfrom pixelid.recordings.npz import opened as read\n"
+    slow += "def opened(path, options):\n    end = time.process_time() + 0.5\n"
+    slow += "    while time.process_time() < end: pass\n    return read(path, options)\n"
     (tmp_path / "slow.py").write_text(slow)
-    (tmp_path / "hangs.py").write_text("import threading\ndef read(path):\n    threading.Event().wait()\n")
+    (tmp_path / "hangs.py").write_text("import threading\ndef opened(path, options):\n    threading.Event().wait()\n")
     write_recording(Recording(Events.from_columns([1], [0], [0], [1], 1, 1)), tmp_path / "good.npz")
     monkeypatch.setattr(isolated, "START", READERS_OF_TESTS.replace("FOLDER", repr(str(tmp_path))))
     monkeypatch.setattr(isolated, "LOOK_S", 0.05)

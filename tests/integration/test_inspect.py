@@ -18,7 +18,7 @@ from pixelid.inspection.lines import Spectra, _Segments
 from pixelid.inspection.tick import find_tick
 from pixelid.model.shipped import find_model
 from pixelid.recordings import Events, Recording, open_recording, write_recording
-from pixelid.recordings.crop import crop
+from pixelid.recordings.crop import Crop
 from pixelid.simulate import simulate
 from pixelid.stimuli.shapes import chirp, constant
 
@@ -240,7 +240,7 @@ def test_the_rate_of_hot_pixels_is_of_the_time_that_a_cut_has_kept():
     x = np.concatenate([np.tile(np.arange(20), 10), np.full(200, 3)])[order]
     events = Events.from_columns((t[order] * 1e9).astype(int), x, 0 * x, 1 + 0 * x, 20, 1)
     whole = Recording(events, constant(duration_s=50.0))
-    for recording in (whole, crop(whole, time_s=(25.0, 50.0))):
+    for recording in (whole, Crop(time_s=(25.0, 50.0)).applied(whole)):
         found = find_hot_pixels_in_silence([recording])
         assert found is not None
         assert found.pixels.tolist() == [3]

@@ -112,6 +112,23 @@ def test_an_interrupt_that_a_library_swallows_comes_back():
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
+def test_an_interrupt_inside_hdf5_waits_for_it(tmp_path, monkeypatch):
+    """An exception that passes through HDF5 crashes the process."""
+    from pixelid.recordings import Events, Recording, hdf5_writing, write_recording
+
+    plain, recording = hdf5_writing._PatientFile.write, Recording(Events.from_columns([1], [0], [0], [1], 1, 1))
+
+    def write(self, data):
+        signal.raise_signal(signal.SIGINT)
+        return plain(self, data)
+
+    monkeypatch.setattr(hdf5_writing._PatientFile, "write", write)
+    with pytest.raises(KeyboardInterrupt):
+        write_recording(recording, tmp_path / "a.h5")
+    assert not (tmp_path / "a.h5").exists()
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
 def test_the_end_of_a_file_is_no_interruption(monkeypatch, capsys):
     def ends(**settings):
         raise click.Abort from EOFError("no more input")

@@ -243,6 +243,16 @@ def test_orientations_as_matrices_and_other_clocks(made, scene):
     np.testing.assert_allclose(data.trajectory.at(times)[1], expected.trajectory.at(times)[1], atol=1e-9)
 
 
+def test_times_in_a_unit_that_is_stated(made, scene):
+    edit(scene / "camera_poses.npz", T_wc_timestamp=lambda t: t * 1e-9)
+    edit(scene / "raw_events.npz", timestamp=lambda t: t // 1000)
+    (scene / "camera_poses.source.toml").write_text('time_unit = "s"\n')
+    (scene / "raw_events.source.toml").write_text('time_unit = "us"\n')
+    data, expected = read_dataset(scene), read_dataset(made)
+    np.testing.assert_allclose(data.t, expected.t, atol=1e-6)
+    np.testing.assert_allclose(data.trajectory.t, expected.trajectory.t, atol=1e-9)
+
+
 def test_views_one_level_up_and_quantised(scene):
     """8-bit RGBA over white, next to the dataset's folder."""
     from skimage.io import imsave
@@ -367,6 +377,10 @@ BROKEN = {
     "poses that start late": (
         lambda s: edit(s / POSES, T_wc_timestamp=lambda t: t + 10**8),
         (POSES, "T_wc_timestamp: poses cover"),
+    ),
+    "poses in seconds": (
+        lambda s: edit(s / POSES, T_wc_timestamp=lambda t: t * 1e-9),
+        ("must increase", 'time_unit = "s"', "camera_poses.source.toml"),
     ),
     "poses out of order": (lambda s: edit(s / POSES, T_wc_timestamp=np.flip), (POSES, "must increase")),
     "no intrinsics": (lambda s: edit(s / CALIBRATION, intrinsics=None), (CALIBRATION, "intrinsics: missing")),

@@ -1,5 +1,7 @@
 """What files state in passing is read, and what fits twice is refused: text, arrays, light, pictures, biases."""
 
+import warnings
+
 import h5py
 import numpy as np
 import pytest
@@ -47,6 +49,8 @@ TEXTS = {
     "t,x,y,p\n": (T, X, Y, WORDS),
     "320,200\n": (T, X, Y, P),
     "# size: 320x200\n": (T, Y, X, P),  # rows first: only that fits the size
+    "t,x,y,p\n\n": (T, X, Y, np.where(P == 1, "up", "down")),
+    "event_t,event_x,event_y,event_p\n": (T, X, Y, P),
     "# Zeit in \xb5s\n# H=200 W=320\nt,x,y,p\n": (T, X + 1, Y + 1, P),  # counted from one: the last is the size
 }
 
@@ -73,6 +77,101 @@ def test_what_fits_twice_is_refused(tmp_path, columns, head, way):
     (tmp_path / "a.csv").write_text(table(*columns, head=head))
     with pytest.raises(InputError, match=way):
         open_recording(tmp_path / "a.csv")
+
+
+def test_joined_files_and_rows_without_numbers(tmp_path):
+    half, rest = (table(*(c[part] for c in (T, X, Y, P)), head="t,x,y,p\n") for part in (np.s_[:100], np.s_[100:]))
+    (tmp_path / "a.csv").write_text(f"{half}{rest}nan,nan,nan,nan\n,,,\n")
+    assert holds(open_recording(tmp_path / "a.csv"))
+
+
+def test_joined_traces(tmp_path):
+    (tmp_path / "a.csv").write_text("t_s,lux\n0,1\n1,2\nt_s,lux\n2,3\nnan,nan\n")
+    light = load_stimulus(tmp_path / "a.csv")
+    assert (light.t.tolist(), light.radiance.tolist()) == ([0.0, 1.0, 2.0], [1.0, 2.0, 3.0])
+    (tmp_path / "a.csv").write_text("timestamp,lux\n\ntimestamp,lux\n")
+    with pytest.raises(InputError, match="found the header only"):
+        load_stimulus(tmp_path / "a.csv")
+
+
+def test_samples_that_are_counted_by_nothing_finite(tmp_path):
+    (tmp_path / "a.csv").write_text("X,CH1,Start,Increment,\nSequence,Volt,0.0,1e999\n0,1.0,\n1,1.5,\n")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(InputError):
+            load_stimulus(tmp_path / "a.csv")
+
+
+def test_times_of_two_clocks_are_refused(tmp_path):
+    (tmp_path / "a.csv").write_text(table(T // 1000, T % 1000 * 1000, X, Y, P, head="msecs,nsecs,x,y,p\n"))
+    with pytest.raises(InputError, match="--columns"):
+        open_recording(tmp_path / "a.csv")
+
+
+@pytest.mark.parametrize("codes", [(1, 2), (0, 255), (255, 0)])
+def test_polarities_of_other_codes_are_stated(tmp_path, codes):
+    (tmp_path / "a.csv").write_text(table(T, X, Y, np.where(P == 1, codes[1], codes[0]), head="t,x,y,p\n"))
+    with pytest.raises(InputError, match="OFF/ON"):
+        open_recording(tmp_path / "a.csv")
+    off_on = f"{codes[0]}/{codes[1]}"
+    assert holds(open_recording(tmp_path / "a.csv", ReadingOptions.of({"polarity": off_on})))
+    with pytest.raises(InputError, match="polarity must be 7"):
+        open_recording(tmp_path / "a.csv", ReadingOptions.of({"polarity": "5/7"}))
+
+
+def test_what_no_rule_reads_says_what_to_do(tmp_path):
+    objects = np.array([[1, 2, 3, True], [2, 2, 3, False]], object)
+    np.save(tmp_path / "a.npy", objects)
+    (tmp_path / "a.json").write_text('{"t": [1]}')
+    (tmp_path / "cut.csv").write_text(table(T, X, Y, P, head="t,x,y,p\n") + "912")
+    (tmp_path / "half.csv").write_text(table(T, X + 0.5, Y, P, head="t,x,y,p\n"))
+    (tmp_path / "date.csv").write_text("t,x,y,p\n2024-01-01 12:00:00.5,1,2,0\n")
+    (tmp_path / "a.raw").write_bytes(bytes(range(40)))
+    ways = {"a.npy": "astype", "a.json": r"\.npz are read", "cut.csv": "correct that line",
+            "half.csv": "whole pixels", "date.csv": "write numbers", "a.raw": "% evt 3.0"}  # fmt: skip
+    for name, way in ways.items():
+        with pytest.raises(InputError, match=way):
+            open_recording(tmp_path / name)
+
+
+@pytest.mark.parametrize("names", [("timestamp", "position", "polarity"), ("events_t", "events_xy", "events_p")])
+def test_addresses_in_one_array(tmp_path, names):
+    """As in EVIMO2 and Robust e-NeRF."""
+    columns = dict(zip(names, (T, np.stack([X, Y], axis=1), P), strict=True))
+    np.savez(tmp_path / "a.npz", **columns)
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file.update(columns)
+    for suffix in (".npz", ".h5"):
+        assert holds(open_recording(tmp_path / f"a{suffix}"))
+
+
+def test_times_in_single_precision_show_their_clock(tmp_path):
+    np.save(tmp_path / "a.npy", np.stack([T * 1e-6 + 30.0, X, Y, P], axis=1).astype(np.float32))
+    e = open_recording(tmp_path / "a.npy").events
+    assert e.tick_ns == 10_000  # 30 s are known to 1.9 us
+    np.testing.assert_array_equal(e.t % 10_000, 0)
+    assert np.abs(e.t - T * 1000 - 30 * 10**9).max() <= 6_000
+
+
+def test_the_clock_shows_where_everything_is_stated(tmp_path):
+    (tmp_path / "a.csv").write_text(table(T * 1e-6, X, Y, P, head="t [s],x,y,p\n"))
+    stated = ReadingOptions(size=(320, 200), time_unit="s", polarity="01", columns=("t", "x", "y", "p"))
+    recording = open_recording(tmp_path / "a.csv", stated)
+    assert holds(recording)
+    assert recording.events.tick_ns == 1
+
+
+def test_a_unit_that_is_none_is_stated(tmp_path):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        for name, column in zip(("t", "x", "y", "p"), (T * 1000, X, Y, P), strict=True):
+            file[name] = column
+        file["t"].attrs["units"] = "nanoseconds since start"
+    assert holds(open_recording(tmp_path / "a.h5"))
+    with h5py.File(tmp_path / "a.h5", "r+") as file:
+        file["t"].attrs["units"] = "ticks"
+    with pytest.raises(InputError, match="--time-unit"):
+        open_recording(tmp_path / "a.h5")
+    assert holds(open_recording(tmp_path / "a.h5", ReadingOptions(time_unit="ns")))
 
 
 def test_addresses_that_may_count_from_one_are_said(tmp_path):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from pixelid.errors import InputError
+from pixelid.recordings.parts import joined
 from pixelid.recordings.reading_child import recordings_of
 
 SIZE = "% geometry 640x480\n% end\n"
@@ -13,7 +14,8 @@ EVENTS = [(1000, 32, 5, 1), (1003, 95, 7, 0), (5000, 0, 2, 1), (5000, 639, 479, 
 
 
 def read(path):
-    return next(recordings_of("decoded", path))
+    head, *parts = recordings_of("decoded", path)
+    return joined(head, parts)
 
 
 def evt2(path: Path, events, edges=()) -> Path:
@@ -121,7 +123,7 @@ def test_damaged_words(tmp_path):
         read(path)
     path.write_bytes(b"% evt 4.0\n% end\n" + bytes(40))
     with pytest.raises(InputError, match=r"expected EVT 2.0, 2.1 or 3.0 in the header, found 4\.0"):
-        list(recordings_of("decoded", path, in_parts=True))
+        list(recordings_of("decoded", path))
 
 
 def dat(path: Path, events, kind=12) -> Path:

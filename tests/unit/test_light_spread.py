@@ -13,7 +13,7 @@ from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.pooled_rate import PooledRate, binned
 from pixelid.model.shipped import find_model
 from pixelid.recordings import Recording
-from pixelid.recordings.crop import crop
+from pixelid.recordings.crop import Crop
 from pixelid.simulate import simulate
 from pixelid.stimuli.stimulus import Stimulus
 
@@ -135,7 +135,7 @@ def test_only_the_gap_of_pooled_counts_looks_for_it():
 def test_pooled_counts_begin_where_a_cut_does():
     """The light before a cut stays, the events do not: its bins are no silence."""
     whole = pool_of([1.0, 1.0], bits(), PLAIN)
-    seen, all_seen = (binned(r, 1e-3, math.inf) for r in (crop(whole, time_s=(0.4, 0.9)), whole))
+    seen, all_seen = (binned(r, 1e-3, math.inf) for r in (Crop(time_s=(0.4, 0.9)).applied(whole), whole))
     assert seen.edges[[0, -1]] == pytest.approx([0.4, 0.9], abs=1e-3)
     np.testing.assert_array_equal(seen.on, all_seen.on[400 : 400 + len(seen.on)])
     assert len(seen.on) >= 499

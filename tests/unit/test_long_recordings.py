@@ -16,7 +16,7 @@ from pixelid.inspection.intervals import Intervals, pixel_intervals
 from pixelid.recordings import (
     Events,
     Recording,
-    aedat2,
+    columns,
     decoded,
     evt,
     hdf5,
@@ -44,7 +44,7 @@ WIDTH, HEIGHT = 12, 9
 def in_pieces(monkeypatch, events: int) -> None:
     """Let every reader take so many events at once."""
     places = ((npz, "PART_EVENTS"), (hdf5, "PIECE"), (text, "LINES_AT_ONCE"), (evt, "WORDS_AT_ONCE"),
-              (aedat2, "PART_EVENTS"), (decoded, "PART_EVENTS"), (raw, "WHOLE_EVENTS"))  # fmt: skip
+              (columns, "PART_EVENTS"), (decoded, "PART_EVENTS"), (raw, "WHOLE_EVENTS"))  # fmt: skip
     for module, name in places:
         monkeypatch.setattr(module, name, events)
 
@@ -103,13 +103,18 @@ def same(found: Recording, expected: Recording) -> None:
         np.testing.assert_array_equal(found.stimulus.t, expected.stimulus.t)
 
 
+def read_whole(reader, path):
+    head, *parts = recordings_of(reader, path)
+    return joined(head, parts)
+
+
 @pytest.mark.parametrize(("suffix", "reader"), [(".h5", "hdf5"), (".npz", "npz"), (".csv", "text")])
 def test_readers_in_parts(tmp_path, monkeypatch, suffix, reader):
     path = tmp_path / f"a{suffix}"
     write_recording(made(), path)
-    whole = next(recordings_of(reader, path))
+    whole = read_whole(reader, path)
     in_pieces(monkeypatch, 777)
-    head, *parts = recordings_of(reader, path, in_parts=True)
+    head, *parts = recordings_of(reader, path)
     assert len(parts) > 20
     same(joined(head, parts), whole)
 
@@ -121,18 +126,18 @@ def test_a_size_that_is_not_stated_is_found_before_the_parts(tmp_path, monkeypat
     (tmp_path / "a.txt").write_text("\n".join(" ".join(map(str, row)) for row in rows))
     in_pieces(monkeypatch, 777)
     for reader, name in (("npz", "a.npz"), ("text", "a.txt")):
-        head, *parts = recordings_of(reader, tmp_path / name, in_parts=True)
+        head, *parts = recordings_of(reader, tmp_path / name)
         assert len(parts) > 20
-        same(joined(head, parts), next(recordings_of(reader, tmp_path / name)))
+        same(joined(head, parts), read_whole(reader, tmp_path / name))
 
 
 def test_camera_files_in_parts(tmp_path, monkeypatch, shared):
     for name in ("gen41_saturated.evt3.raw", "davis346_aps.aedat4", "davis240_boxes.aedat"):
         reader = "aedat2" if name.endswith(".aedat") else "decoded"
         path = shared / "recordings" / name
-        whole = next(recordings_of(reader, path))
+        whole = read_whole(reader, path)
         in_pieces(monkeypatch, 10_000)
-        head, *parts = recordings_of(reader, path, in_parts=True)
+        head, *parts = recordings_of(reader, path)
         assert len(parts) > 3
         same(joined(head, parts), whole)
         monkeypatch.undo()
@@ -146,7 +151,7 @@ def test_errors_count_from_the_first_part(tmp_path, monkeypatch):
     for size in (1 << 20, 777, 5000):
         in_pieces(monkeypatch, size)
         with pytest.raises(InputError, match="event 5000 is earlier than event 4999"):
-            list(recordings_of("npz", tmp_path / "a.npz", in_parts=True))
+            list(recordings_of("npz", tmp_path / "a.npz"))
 
 
 def test_repeats_are_counted_across_parts():
@@ -169,7 +174,7 @@ def test_a_file_joined_to_itself_is_refused_in_parts(tmp_path, monkeypatch):
         del file["events"].attrs["duplicates"]
     in_pieces(monkeypatch, 777)
     with pytest.raises(InputError, match="found duplicates"):
-        list(recordings_of("hdf5", tmp_path / "a.h5", in_parts=True))
+        list(recordings_of("hdf5", tmp_path / "a.h5"))
 
 
 @pytest.mark.parametrize(
@@ -442,7 +447,7 @@ def test_any_bytes_of_evt21_are_answered(tmp_path_factory, data, swapped):
     evt21(path, VECTORS, swapped=swapped)
     path.write_bytes(path.read_bytes() + data)
     with suppress(InputError):
-        events = next(recordings_of("decoded", path)).events
+        events = read_whole("decoded", path).events
         assert (np.diff(events.t) >= 0).all()
         assert (events.x < 640).all()
 

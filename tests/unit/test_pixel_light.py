@@ -16,7 +16,7 @@ from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.shipped import find_model
 from pixelid.recordings import Events, Recording, open_recording, write_recording
 from pixelid.recordings.alignment import aligned, find_alignment
-from pixelid.recordings.crop import crop
+from pixelid.recordings.crop import Crop
 from pixelid.recordings.own_light import with_fine_light, with_pixel_lights
 from pixelid.recordings.selection import only
 from pixelid.recordings.sensor_light import light_caveats, measurements, with_measured_light
@@ -175,10 +175,10 @@ def test_groups_come_back_from_files(tmp_path, recording, suffix):
 
 
 def test_cuts_keep_the_light_of_the_pixels_left(recording):
-    cut = crop(recording, roi=(1, 0, 3, 3), time_s=(0.1, 0.31))
+    cut = Crop(roi=(1, 0, 3, 3), time_s=(0.1, 0.31)).applied(recording)
     assert len(cut.stimulus.lights) == 2
     assert cut.stimulus.end_s == pytest.approx(0.31, abs=3e-4)
-    whole = EventTimes([crop(recording, time_s=(0.1, 0.31))]).terms(MODEL.circuit()).per_pixel
+    whole = EventTimes([Crop(time_s=(0.1, 0.31)).applied(recording)]).terms(MODEL.circuit()).per_pixel
     part = EventTimes([cut])
     np.testing.assert_allclose(part.terms(MODEL.circuit()).per_pixel, whole.reshape(3, 5)[:, 1:3].ravel(), rtol=1e-9)
 

@@ -138,7 +138,7 @@ def test_constant_light_takes_the_rate_and_covers_its_events(bench, by_events):
 def test_the_evidence_has_its_minimum_at_the_offset(by_events):
     for name in ("steps", "chirp"):
         evidence = by_events[name].evidence
-        assert abs(evidence.lags_s[np.argmin(evidence.loss)]) < 5e-4
+        assert abs(evidence[0, np.argmin(evidence[1])]) < 5e-4
 
 
 def test_edges_are_taken_where_events_agree(bench):

@@ -5,6 +5,8 @@ camera_poses.npz         T_wc_position (K, 3);  T_wc_orientation (K, 4) x, y, z,
 camera_calibration.npz   see `calibration`
 views/                   see `views`; here or one level up
 renderer_params.npz      interm_color_space, log_eps (synthetic data)
+
+Where times are in another unit than ns, raw_events.source.toml or camera_poses.source.toml states it (`time_unit`).
 """
 
 from __future__ import annotations
@@ -20,6 +22,8 @@ from pixelid.nerf.data.calibration import FILE as CALIBRATION
 from pixelid.nerf.data.calibration import Calibration, read_calibration
 from pixelid.nerf.data.trajectory import Trajectory
 from pixelid.nerf.data.views import RENDERER, Views, no_views, read_views
+from pixelid.recordings.events import NS_PER_UNIT
+from pixelid.recordings.source import options_for
 
 BLOCK = 1 << 22  # events looked at together, where a copy of all would be in the way
 MOST_NS = 1 << 62  # 146 years: sums and differences of times still fit 64 bits
@@ -74,13 +78,13 @@ def read_dataset(path: Path) -> Dataset:
     begin, end = zero, round(trajectory.t[-1] * 1e9) + zero
     if t[0] < begin - SLACK or t[-1] > end + SLACK:
         raise InputError(
-            f"{path / POSES}: T_wc_timestamp: poses cover {begin} … {end} ns, "
-            f"but timestamp of {EVENTS} runs {t[0]} … {t[-1]} ns"
+            f"{path / POSES}: T_wc_timestamp: poses cover {begin} … {end} ns, but timestamp of {EVENTS} runs "
+            f"{t[0]} … {t[-1]} ns; leave out the events outside, or {_way(path / POSES)}"
         )
     if (t[-1] - t[0]) * MOST_POSES_PER_EVENTS < end - begin:
         raise InputError(
             f"{path / EVENTS}: timestamp: events cover {t[0]} … {t[-1]}, poses {begin} … {end} ns: expected ns, found "
-            "what looks like µs; if it is ns, cut the poses to the events"
+            f"what looks like µs: {_way(path / EVENTS)}; if it is ns, cut the poses to the events"
         )
     views = read_views(path, calibration.channels)
     return Dataset(path, (t - zero) * 1e-9, x, y, on, trajectory, calibration, views)
@@ -119,15 +123,21 @@ def write_poses(folder: Path, trajectory: Trajectory) -> None:
 
 
 def _whole_ns(file: Path, key: str, values: np.ndarray) -> np.ndarray:
-    """Timestamps (n,) as int64 ns."""
+    """Timestamps (n,) as int64 ns, from the unit that NAME.source.toml next to the file states; ns without it."""
+    scale = NS_PER_UNIT[options_for(file).time_unit or "ns"]
     if values.ndim != 1 or values.dtype.kind not in "iuf":
         raise InputError(f"{file}: {key}: expected one column of numbers, found {values.dtype} of shape {values.shape}")
     if values.dtype.kind == "f":
-        values = np.rint(finite(file, key, values))
-    if len(values) and not (values.min() >= -MOST_NS and values.max() <= MOST_NS):
+        values, scale = np.rint(finite(file, key, values) * scale), 1
+    if len(values) and not (int(values.min()) * scale >= -MOST_NS and int(values.max()) * scale <= MOST_NS):
         found = f"{values.min():.4g} … {values.max():.4g}"
         raise InputError(f"{file}: {key}: expected nanoseconds that fit 64 bits, found {found}")
-    return values.astype(np.int64, copy=False)
+    return values.astype(np.int64, copy=False) * scale
+
+
+def _way(file: Path) -> str:
+    """How to state the unit of a file's times."""
+    return f'state it: time_unit = "s" (ms, us, ns) in {file.stem}.source.toml'
 
 
 def _events(file: Path, calibration: Calibration):
@@ -196,7 +206,10 @@ def _poses(file: Path) -> Trajectory:
     if len(t) < 2:
         raise InputError(f"{file}: T_wc_timestamp: expected at least two poses, found {len(t)}")
     if not (np.diff(t) > 0).all():
-        raise InputError(f"{file}: T_wc_timestamp: must increase, row {int(np.argmin(np.diff(t) > 0)) + 1} does not")
+        raise InputError(
+            f"{file}: T_wc_timestamp: must increase, row {int(np.argmin(np.diff(t) > 0)) + 1} does not; if "
+            f"the unit is not ns, {_way(file)}"
+        )
     if position.shape != (len(t), 3):
         raise InputError(f"{file}: T_wc_position: expected ({len(t)}, 3), found {position.shape}")
     if orientation.shape not in ((len(t), 4), (len(t), 3, 3)):

@@ -17,7 +17,7 @@ from pixelid.nerf.data.camera import Camera
 from pixelid.nerf.data.published.esim_flags import notes_of, pixel_of, read_flags, renderer_of
 from pixelid.nerf.data.published.source import Block, Pictures, Poses, Source, camera_of, poses_of
 from pixelid.nerf.data.views import FOLDER
-from pixelid.recordings.ros import header_stamp, opened_bag, record_columns, record_types
+from pixelid.recordings.ros import RECORDS, header_stamp, opened_bag, record_columns
 
 POSE, INFO, IMAGE = "geometry_msgs/msg/PoseStamped", "sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/Image"
 IMAGES = ("image_raw", "image_corrupted")  # sharp, and blurred by the exposure
@@ -83,10 +83,10 @@ def _conf(bag: Path) -> Path | None:
 
 def _topics(bag: Path, reader, camera: str) -> tuple[str, dict[str, Any]]:
     """The camera's name, and its connections of events, pose and camera_info."""
-    events = [c for c in reader.connections if c.msgtype in record_types()]
+    events = [c for c in reader.connections if c.msgtype in RECORDS]
     if not events:
         found = ", ".join(sorted({c.msgtype for c in reader.connections})) or "nothing"
-        raise InputError(f"{bag}: expected a topic of {record_types()[0]}, found {found}")
+        raise InputError(f"{bag}: expected a topic of {RECORDS[0]}, found {found}")
     names = sorted({c.topic.removesuffix("/events").strip("/") for c in events})
     cam = camera or ("cam0" if "cam0" in names or len(names) > 1 else names[0])
     topics = {}
@@ -95,7 +95,7 @@ def _topics(bag: Path, reader, camera: str) -> tuple[str, dict[str, Any]]:
         of_name = [c for c in reader.connections if c.topic == topic and kind in (None, c.msgtype)]
         if not of_name:
             there = ", ".join(sorted({c.topic for c in reader.connections}))
-            raise InputError(f"{bag}: {topic} ({kind or record_types()[0]}): missing; the bag has {there[:300]}")
+            raise InputError(f"{bag}: {topic} ({kind or RECORDS[0]}): missing; the bag has {there[:300]}")
         topics[suffix] = of_name[0]
     return cam, topics
 
@@ -142,13 +142,13 @@ def _events(bag: Path, topic: str) -> Callable[[int, int], Iterator[Block]]:
             waiting: list[Block] = []
             number = 0
             for _, _, data in reader.messages(connections=connections):
-                for t, x, y, p in record_columns(bytes(data), reader.is2, bag)[1]:
-                    if len(t) and t.min() > end + AFTER_NS:
-                        yield from _joined(waiting)
-                        return
-                    if len(t) and t.max() >= begin:
-                        waiting.append(Block(t, x, y, p != 0))
-                        number += len(t)
+                t, x, y, p = record_columns(bytes(data), reader.is2, bag)[1]
+                if len(t) and t.min() > end + AFTER_NS:
+                    yield from _joined(waiting)
+                    return
+                if len(t) and t.max() >= begin:
+                    waiting.append(Block(t, x, y, p != 0))
+                    number += len(t)
                 if number >= BLOCK:
                     yield from _joined(waiting)
                     waiting, number = [], 0
