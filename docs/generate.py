@@ -18,6 +18,7 @@ from pathlib import Path
 
 import measured
 import method_figures
+import names
 import notebook_pages
 import reference
 from page_parts import ROOT, percent, table
@@ -228,6 +229,7 @@ PAGES: dict[str, Callable[[], str]] = {
     "moving_plane": measured.moving_plane,
     "schemas": schemas,
     "api": reference.page,
+    "names": names.page,
     **method_figures.PAGES,
     **notebook_pages.PAGES,
 }

@@ -14,8 +14,9 @@ from docutils.core import publish_doctree
 from sphinx.ext.napoleon import GoogleDocstring
 
 NAMES = (
-    "check", "calibrate", "open", "find_model", "simulate", "fit", "sample", "gap", "lowlight", "design",
-    "reconstruct", "load_field", "stimulus", "biases", "view",
+    "check", "calibrate", "open", "find_model", "simulate", "inspect", "convert", "align", "crop", "fit", "sample",
+    "compare", "gap", "conform", "sensor", "lowlight", "design", "stimulus", "rates", "latency", "flicker", "noise",
+    "biases", "export", "dataset", "reconstruct", "load_field", "render", "view", "report",
     "Model", "Recording", "Stimulus", "Status",
 )  # fmt: skip
 RESULTS = (
@@ -29,6 +30,7 @@ RESULTS = (
     "pixelid.design.result.DesignReport",
     "pixelid.design.waveform.Waveform",
     "pixelid.tables.biases.result.BiasLaws",
+    "pixelid.tables.result.TableResult",
     "pixelid.compare.compare.Comparison",
     "pixelid.sensors.sensor.SensorFit",
     "pixelid.nerf.reconstruct.Reconstruction",

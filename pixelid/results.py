@@ -21,6 +21,9 @@ from pixelid.status import Status
 if TYPE_CHECKING:
     import pandas as pd  # pyright: ignore[reportMissingTypeStubs]
 
+    from pixelid.inputs import RecordingsLike
+    from pixelid.recordings.recording import Recording
+
 ROWS_SHOWN = 18  # of each table, in a `repr`: with headings and a few sentences one screen of 24 lines
 SENTENCES_SHOWN = 4
 WIDTH_SHOWN = 110
@@ -155,6 +158,33 @@ class Result(ABC):
             return
         with whole_folder(folder, overwrite) as temporary:
             self.write(temporary)
+
+    def write_figures(self, folder: Path, recordings: Sequence[Recording] = ()) -> None:  # noqa: B027
+        """Draw what the page shows into an existing folder, if anything; some figures need the recordings."""
+
+    def report(self, folder: str | Path, recordings: RecordingsLike | None = None, *, overwrite: bool = False) -> Path:
+        """Write the result's folder with its figures and its page, as the command line does.
+
+        Args:
+            folder: of the result.
+            recordings: that it was made from, where figures show events; without them these are left out.
+            overwrite: replace the result of pixelid that the folder holds.
+
+        Returns:
+            The path of the page, report.html.
+
+        Raises:
+            InputError: the folder is there and is not to be replaced, or belongs to no result of pixelid.
+        """
+        from pixelid.inputs import as_recordings
+        from pixelid.report.html import write_report
+
+        opened = [] if recordings is None else as_recordings(recordings)
+        with whole_folder(Path(folder), overwrite) as temporary:
+            self.write(temporary)
+            self.write_figures(temporary, opened)
+            write_report(temporary)
+        return Path(folder) / "report.html"
 
     def __repr__(self) -> str:
         sentences = list(self.sentences())

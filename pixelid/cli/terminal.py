@@ -74,17 +74,13 @@ def say_sentences(sentences: Iterable[str]) -> None:
     say(*(wrapped(f"- {sentence}", columns(), "  ") for sentence in sentences if sentence))
 
 
-def say_result(result: Result, out: Path, remarks: Iterable[str] = ()) -> None:
-    """Print a result, its verdict coloured, and where its page is."""
+def say_result(result: Result, out: Path | None = None, remarks: Iterable[str] = ()) -> None:
+    """Print a result, its verdict coloured, and where its page is, if it has one."""
     say(*remarks)
     headline, line_break, rest = result.summary(columns()).partition("\n")
     click.echo(coloured(printable(headline)) + line_break + printable(rest))
-    say_page(out)
-
-
-def say_page(out: Path) -> None:
-    """Print where the page of a result folder is."""
-    say(str(out / "report.html"))
+    if out is not None:
+        say(str(out / "report.html"))
 
 
 def columns() -> int | None:

@@ -68,6 +68,12 @@ class Rendered(WrittenResult):
         """One row per file."""
         return [{"file": name, "what": what} for name, what in self.content["files"].items()]
 
+    def write_companions(self, folder: Path) -> None:
+        """Draw a few of the frames; the others are there."""
+        from pixelid.nerf.shown.figures import write_figures
+
+        write_figures(self, folder)
+
 
 def render(
     path: Path,
