@@ -221,10 +221,10 @@ def render(
 
 @public
 def view(model: ModelLike, out: str | Path, *, open: bool = False, overwrite: bool = False) -> Path:
-    """Write a page with a pixel to play with: drag light, thresholds or bandwidth, and its events move.
+    """Write a page with a pixel to play with, or with a reconstructed scene to fly through.
 
     Args:
-        model: the circuit that the page begins with; it has the shipped ones as well.
+        model: the circuit that the page begins with, with the shipped ones; or the folder of a reconstruction.
         out: the page to write; it needs no server.
         open: show it in the browser.
         overwrite: replace a page that is there.
@@ -233,18 +233,20 @@ def view(model: ModelLike, out: str | Path, *, open: bool = False, overwrite: bo
         The path of the page.
 
     Raises:
-        InputError: an unknown model, a folder that holds a scene and no pixel, a page that is there already.
+        InputError: an unknown model, a damaged scene, a page that is there already.
 
     Example:
         >>> import pixelid as px
         >>> px.view("dvs128", "pixel.html", open=True)  # doctest: +SKIP
     """
     from pixelid.inputs import as_model
-    from pixelid.report.pixel_view import refuse_scene, write_view
+    from pixelid.report.pixel_view import is_scene, write_view
+    from pixelid.report.scene_view import write_scene
 
-    if isinstance(model, str | Path):
-        refuse_scene(model)
-    write_view(as_model(model), Path(out), overwrite=overwrite)
+    if isinstance(model, str | Path) and is_scene(model):
+        write_scene(Path(model), Path(out), overwrite=overwrite)
+    else:
+        write_view(as_model(model), Path(out), overwrite=overwrite)
     if open:
         import webbrowser
 

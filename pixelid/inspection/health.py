@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, TypeAlias
 
@@ -15,6 +15,7 @@ from pixelid.inspection.counts import BusiestWindow, Counts, Survey, counts_of
 from pixelid.inspection.dead_time import DeadTime, find_dead_time
 from pixelid.inspection.hot_pixels import HotPixel, hot_of_counts
 from pixelid.inspection.lines import Line, Spectra
+from pixelid.inspection.preview import Preview
 from pixelid.inspection.tick import MIN_EVENTS, Tick, tick_of
 from pixelid.recordings.bursts import BurstCounter, Bursts
 from pixelid.recordings.doubts import doubts, polarity_doubt
@@ -119,6 +120,7 @@ class Overview:
         on, off: (k,) events in them.
         image: (height, width) events per pixel.
         intervals: (m,) intervals within pixels [ns], of long recordings a random share.
+        preview: t [ns], x, y, p of consecutive events from the middle on.
     """
 
     edges_s: np.ndarray
@@ -126,6 +128,7 @@ class Overview:
     off: np.ndarray
     image: np.ndarray
     intervals: np.ndarray
+    preview: Mapping[str, np.ndarray]
 
 
 def inspect(recording: Recording | LongRecording, progress: Progress = no_progress) -> Health:
@@ -162,9 +165,10 @@ def inspect_closely(recording: Recording | LongRecording, progress: Progress = n
     paces = None if pooled else Paces(survey, tick.clock_s)
     rates = _Rates(survey)
     bursts = BurstCounter() if pooled else None
+    preview = Preview(0.5 * (survey.first_ns + survey.last_ns) if survey.events else 0.0)
     seen = 0
     for events in _read(recording):
-        for part in (busiest, spectra, rates, *([paces] if paces else []), *([bursts] if bursts else [])):
+        for part in (busiest, spectra, rates, preview, *([paces] if paces else []), *([bursts] if bursts else [])):
             part.add(events)
         seen += len(events)
         progress("rates and lines", seen / max(survey.events, 1))
@@ -186,7 +190,7 @@ def inspect_closely(recording: Recording | LongRecording, progress: Progress = n
         source=Source.from_dict(head.attributes.get(ATTRIBUTE)).as_dict(),
         doubts=_doubts(recording, survey),
     )
-    return health, Overview(rates.edges_s, rates.counts[1], rates.counts[0], survey.image, intervals)
+    return health, Overview(rates.edges_s, rates.counts[1], rates.counts[0], survey.image, intervals, preview.events())
 
 
 def _doubts(recording: Recording | LongRecording, survey: Survey) -> tuple[str, ...]:

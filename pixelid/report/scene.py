@@ -72,7 +72,7 @@ def prepare(result: Result, folder: Path) -> dict[str, Any]:
     other = f"bandwidth {beside['bandwidth']}, {_places(beside['psnr'], 1)} dB" if beside else ""
     return {
         "slid": (folder / "slider_reference.png").is_file(),
-        "scripts": [script("page"), script("slider")],
+        "scripts": [script("page"), script("figures"), script("slider")],
         "beside": other,
         "views": [row("mean", result["views"]), *views] if views else [],
         "lpips": lpips,

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import shlex
+import statistics
 from pathlib import Path
 from typing import Any
 
+from pixelid.report.circuit import interval_parts
 from pixelid.report.format import counted, number, percent, seconds
 from pixelid.report.page import Number, Result, Summary, command_line, folder_name, identified
+from pixelid.statistics import Z95
 
 
 def summarise_rates(result: Result, folder: Path) -> Summary:
@@ -144,9 +148,26 @@ def prepare_flicker(result: Result, folder: Path) -> dict[str, Any]:
         return f"{entry['value']:.3g}" + (f" ± {entry['std']:.2g}" if entry["std"] is not None else " (open)")
 
     names = ("amplitude_over_on_threshold", "off_over_on_threshold", "phase_cycles", "noise_over_on_threshold")
-    return {
+    amplitudes = {f"group {g['column']}, {g['row']}": g["amplitude_over_on_threshold"] for g in result["groups"]}
+    entries = {name: _with_interval(entry) for name, entry in amplitudes.items()} if len(amplitudes) > 1 else {}
+    middle = statistics.median(entry["value"] for entry in amplitudes.values()) if amplitudes else 1.0
+    return interval_parts(entries, dict.fromkeys(entries, middle), "the median of the groups") | {
         "groups": [
             [f"{g['column']}, {g['row']}", str(g["events"]), *(cell(g[n]) for n in names), f"{g['dispersion']:.2f}"]
             for g in sorted(result["groups"], key=lambda g: -g["events"])
         ]
     }
+
+
+def _with_interval(entry: Result) -> Result:
+    """A group's amplitude over the ON threshold as the parameter of a forest: its 95 % interval from its error."""
+    ends = None
+    if entry["std"] is not None:
+        width = math.exp(Z95 * entry["std"] / entry["value"])
+        ends = [entry["value"] / width, entry["value"] * width]
+    return {**entry, "unit": "1", "interval_95": ends, "fixed": False}
+
+
+def prepare_parameters(result: Result, folder: Path) -> dict[str, Any]:
+    """The forest of a table's parameters."""
+    return interval_parts(result["parameters"])
