@@ -9,6 +9,7 @@ from __future__ import annotations
 import html
 import itertools
 import json
+import re
 from collections import defaultdict
 from typing import Any
 
@@ -69,25 +70,28 @@ def _colour(artist: Any) -> str:
 def readings(figure: Any) -> str:
     """Where the axes of a drawn figure are in its SVG, and how places become values, as JSON for an attribute."""
     width, height = (72.0 * side for side in figure.get_size_inches())
+    axes = [axis for axis in figure.axes if axis.axison and axis.get_label() != "<colorbar>"]
     entries = []
-    for axis in figure.axes:
-        if not axis.axison or axis.get_label() == "<colorbar>":
-            continue
+    for axis in axes:
         (left, low), (right, high) = axis.get_position().get_points()
         box = [left * width, (1 - high) * height, right * width, (1 - low) * height]
-        entries.append({"box": [round(side, 1) for side in box], "x": _scale(axis.xaxis), "y": _scale(axis.yaxis)})
+        scales = {"x": _scale(axis.xaxis), "y": _scale(axis.yaxis)}
+        if not scales["x"]["label"]:  # panels above each other have one label, below
+            same = (other.get_xlabel() for other in axes if other.get_xlim() == axis.get_xlim())
+            scales["x"]["label"] = next((" ".join(label.split()) for label in same if label), "")
+        entries.append({"box": [round(side, 3) for side in box], **scales})
     return html.escape(json.dumps(entries, ensure_ascii=False), quote=True)
 
 
 def _scale(axis: Any) -> dict[str, Any]:
     """Limits, scale, label, and the names at ticks that are no numbers."""
-    from matplotlib.ticker import FixedFormatter
+    from matplotlib.ticker import FixedLocator
 
     low, high = (float(end) for end in axis.get_view_interval())
-    scale = {"ends": [low, high], "scale": axis.get_scale(), "label": axis.get_label_text()}
+    scale = {"ends": [low, high], "scale": axis.get_scale(), "label": " ".join(axis.get_label_text().split())}
     if scale["scale"] == "symlog":
         scale["linear"] = float(axis.get_transform().linthresh)
-    if isinstance(axis.get_major_formatter(), FixedFormatter):
-        labels = [text.get_text() for text in axis.get_ticklabels()][:MOST_NAMES]
+    labels = [text.get_text() for text in axis.get_ticklabels()][:MOST_NAMES]
+    if isinstance(axis.get_major_locator(), FixedLocator) and any(re.search(r"[^\W\d]{2}", label) for label in labels):
         scale["names"] = dict(zip([float(at) for at in axis.get_ticklocs()], labels, strict=False))
     return scale

@@ -8,10 +8,18 @@ import statistics
 from pathlib import Path
 from typing import Any
 
-from pixelid.report.circuit import interval_parts
+from pixelid.report.circuit import interval_parts, uses_of
 from pixelid.report.format import counted, number, percent, seconds
 from pixelid.report.page import Number, Result, Summary, command_line, folder_name, identified
 from pixelid.statistics import Z95
+
+REST = (("A light that fixes the rest, for a sound card", "pixelid stimulus chirp --for dvs128 --out chirp.wav"),)
+
+
+def _healthy(result: Result) -> bool | None:
+    """Not, where a fit ended well and leaves parameters open."""
+    opened = any(not p["identified"] and not p.get("fixed") for p in result["parameters"].values())
+    return False if result["status"] == "converged" and opened else None
 
 
 def summarise_rates(result: Result, folder: Path) -> Summary:
@@ -30,6 +38,8 @@ def summarise_rates(result: Result, folder: Path) -> Summary:
         ),
         command_line("rates", result, out=folder),
         {"pixel": "Event rates of one pixel", "pool": "Event rates of a light's image"}[result["model"]],
+        healthy=_healthy(result),
+        next=REST,
     )
 
 
@@ -53,6 +63,7 @@ def summarise_latency(result: Result, folder: Path) -> Summary:
         ),
         command_line("latency", result, out=folder),
         f"First-event latency of {', '.join(result['cameras'])}",
+        healthy=_healthy(result),
         next=(("How slow it is in low light", f"pixelid lowlight {own} --out {own}_lowlight"),),
     )
 
@@ -75,6 +86,8 @@ def summarise_noise(result: Result, folder: Path) -> Summary:
         ),
         command_line("noise", result, out=folder),
         "Noise events of still scenes",
+        healthy=_healthy(result),
+        next=uses_of(shlex.quote(folder_name(folder)))[:2] if (folder / "model.toml").is_file() else REST,
     )
 
 
@@ -140,6 +153,7 @@ def summarise_flicker(result: Result, folder: Path) -> Summary:
             Number("time taken", seconds(result["seconds"])),
         ),
         command_line("flicker", result, "--frequency", f"{frequency['value']:.4g}", out=folder),
+        next=REST,
     )
 
 

@@ -8,7 +8,7 @@
     const sharp = devicePixelRatio || 1, w = canvas.clientWidth, h = canvas.clientHeight;
     canvas.width = w * sharp; canvas.height = h * sharp;
     screen.setTransform(sharp, 0, 0, sharp, 0, 0);
-    const size = Math.min(w / 2.6, h / 1.5), largest = Math.max(width, height), [cy, sy, cp, sp] = [Math.cos(yaw), Math.sin(yaw), Math.cos(pitch), Math.sin(pitch)];
+    const size = Math.min(w / 2.7, h / 1.9), largest = Math.max(width, height), [cy, sy, cp, sp] = [Math.cos(yaw), Math.sin(yaw), Math.cos(pitch), Math.sin(pitch)];
     const place = (time, column, row) => {  /* time to the right, rows down, columns into the depth */
       const a = 2 * time - 1, b = (column - 0.5 * width) / largest, c = (row - 0.5 * height) / largest, deep = a * sy + b * cy;
       return [w / 2 + size * (a * cy - b * sy), h / 2 + size * (c * cp + deep * sp)];
@@ -18,9 +18,6 @@
     for (const [a, b] of [[0, 1], [0, 2], [1, 3], [2, 3], [4, 5], [4, 6], [5, 7], [6, 7], [0, 4], [1, 5], [2, 6], [3, 7]]) {
       screen.beginPath(); screen.moveTo(...corner[a]); screen.lineTo(...corner[b]); screen.stroke();
     }
-    screen.font = "12px system-ui, sans-serif"; screen.textAlign = "center";
-    const label = (text, a, b) => screen.fillText(text, (corner[a][0] + corner[b][0]) / 2, (corner[a][1] + corner[b][1]) / 2 + 15);
-    label(`time, ${span}`, 1, 5); label(`${width} columns`, 5, 7); label(`${height} rows`, 2, 3);
     for (const [polarity, name] of [[0, "--off"], [1, "--on"]]) {
       if (!figure.querySelector(`input[value="${polarity}"]`).checked) continue;
       screen.fillStyle = colour(name);
@@ -28,6 +25,12 @@
         const [u, v] = place(t[k] / 1000, x[k] + 0.5, y[k] + 0.5);
         screen.fillRect(u - 1, v - 1, 2, 2);
       }
+    }
+    screen.font = "13px system-ui, sans-serif"; screen.textAlign = "center"; screen.lineWidth = 4;
+    screen.fillStyle = colour("--ink"); screen.strokeStyle = colour("--paper");
+    for (const [text, a, b] of [[`time, ${span}`, 1, 5], [`${width} columns`, 5, 7], [`${height} rows`, 4, 5]]) {
+      const u = (corner[a][0] + corner[b][0]) / 2, v = (corner[a][1] + corner[b][1]) / 2 + 16;
+      screen.strokeText(text, u, v); screen.fillText(text, u, v);
     }
   };
   canvas.addEventListener("pointerdown", event => canvas.setPointerCapture(event.pointerId));
