@@ -70,19 +70,20 @@ class Table:
         return "\n".join(lines)
 
     def _narrowed(self, rows: Sequence[tuple[str, ...]], widths: list[int], width: int) -> list[int]:
-        """Widths of the columns that fit into `width`: the widest of words gives way, down to its longest word."""
-        widths = list(widths)
-        least = [
-            max(len(word) for row in (self.headings, *rows) for word in (row[k].split() or [""]))
-            if heading in self.left
-            else widths[k]
-            for k, heading in enumerate(self.headings)
-        ]
-        while sum(widths) + 2 * (len(widths) - 1) > width:
-            wide = max(range(len(widths)), key=lambda k: (widths[k] > least[k]) * widths[k])
-            if widths[wide] <= least[wide]:
-                break
-            widths[wide] -= 1
+        """Widths of the columns that fit into `width`: the widest gives way, down to its longest word.
+
+        Numbers are broken last, at the dots of an interval, after words and headings.
+        """
+        widths, columns = list(widths), range(len(self.headings))
+        cells = [max((len(row[k]) for row in rows), default=0) for k in columns]
+        word = [max(len(part) for row in (self.headings, *rows) for part in (row[k].split() or [""])) for k in columns]
+        whole = [word[k] if self.headings[k] in self.left else max(word[k], cells[k]) for k in columns]
+        for least in (whole, word):
+            while sum(widths) + 2 * (len(widths) - 1) > width:
+                wide = max(columns, key=lambda k, least=least: (widths[k] > least[k]) * widths[k])
+                if widths[wide] <= least[wide]:
+                    break
+                widths[wide] -= 1
         return widths
 
 

@@ -72,9 +72,11 @@ def command(files: tuple[Path, ...], as_json: bool, out: Path | None, crop, over
     elif not quiet:
         from rich.console import Console
 
+        from pixelid.cli.terminal import say
         from pixelid.inspection.table import health_table
 
         Console(markup=False).print(health_table(health))
+        say(*([str(out / "report.html")] if out else []))
 
 
 def _still_scene(
@@ -110,6 +112,8 @@ def _still_scene(
     elif not quiet:
         from rich.console import Console
 
+        from pixelid.cli.terminal import say
         from pixelid.inspection.static_noise_words import static_noise_table
 
         Console(markup=False).print(static_noise_table(noise))
+        say(*([str(out / "report.html")] if out else []))

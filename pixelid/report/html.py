@@ -20,7 +20,6 @@ from pixelid import provenance
 from pixelid.documents import interpreting, read_json
 from pixelid.errors import InputError, printable
 from pixelid.figures.style import without_control_characters
-from pixelid.figures.words import in_words
 from pixelid.outputs import whole_file
 from pixelid.report import format as formats
 from pixelid.report.circuit import downloads
@@ -32,6 +31,7 @@ from pixelid.report.quantities import NAMES, name_of, quantity
 from pixelid.report.scripts import script
 from pixelid.results import check_parameters
 from pixelid.stages import LIBRARY
+from pixelid.status import Status
 
 TEMPLATES = Path(__file__).parent / "templates"
 CAPTIONS = Path(__file__).parent / "captions.toml"
@@ -95,7 +95,7 @@ def _rendered(page: Page, result: dict[str, Any], folder: Path) -> str:
     import jinja2
 
     pictures = _pictures(page, folder)
-    named = partial(with_names, known=[*LIBRARY, *_parameters(result)])
+    named = partial(with_names, known=[*LIBRARY, *Status, *_parameters(result)])
     ids = itertools.count(1)
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(TEMPLATES),
@@ -160,7 +160,8 @@ def with_names(text: object, known: Iterable[str]) -> str:
     if not spelled:
         return str(text)
     either = "|".join(map(re.escape, spelled))
-    names = {name: in_words(name) if name in LIBRARY else name_of(name) for name in spelled}
+    words = {*LIBRARY, *Status}
+    names = {name: name.replace("_", " ") if name in words else name_of(name) for name in spelled}
     return re.sub(rf"`[^`]*`|(?<![\w.\[-])(?:{either})(?![\w\[=]|\.\w)", lambda m: names.get(m[0], m[0]), str(text))
 
 
