@@ -11,6 +11,7 @@ from typing import Any
 from pixelid.report.circuit import interval_parts, uses_of
 from pixelid.report.format import counted, number, percent, seconds
 from pixelid.report.page import Number, Result, Summary, command_line, folder_name, identified
+from pixelid.report.quantities import name_of
 from pixelid.statistics import Z95
 
 REST = (("A light that fixes the rest, for a sound card", "pixelid stimulus chirp --for dvs128 --out chirp.wav"),)
@@ -92,7 +93,7 @@ def summarise_noise(result: Result, folder: Path) -> Summary:
 
 
 def summarise_biases(result: Result, folder: Path) -> Summary:
-    laws = result["quantities"]
+    laws, own = result["quantities"], shlex.quote(folder_name(folder))
     fitted = {name: law for name, law in laws.items() if "rivals" in law}
     rows = [row for law in laws.values() for row in law["rows"] if row["measured"] is not None]
     held = [
@@ -100,7 +101,7 @@ def summarise_biases(result: Result, folder: Path) -> Summary:
     ]
     return Summary(
         "biases",
-        f"{', '.join(laws) or 'Thresholds'} against bias codes",
+        _answer_biases(laws),
         result["status"],
         result["advice"],
         (
@@ -111,7 +112,24 @@ def summarise_biases(result: Result, folder: Path) -> Summary:
             Number("time taken", seconds(result["seconds"])),
         ),
         command_line("biases", result, out=folder),
+        next=(
+            (
+                "As priors of a fit, at the codes of its .bias files",
+                f"pixelid fit session/ --model dvs128 --bias-laws {own} --out fit",
+            ),
+        )
+        if fitted
+        else (),
     )
+
+
+def _answer_biases(laws: Result) -> str:
+    """The law of each quantity, and of which codes."""
+    words = [
+        f"{name_of(name)}: {law['law']} in {', '.join(law['codes'])}" for name, law in laws.items() if law.get("codes")
+    ]
+    said = "; ".join(words) or f"{', '.join(map(name_of, laws)) or 'thresholds'} against bias codes"
+    return said[:1].upper() + said[1:]
 
 
 def prepare_biases(result: Result, folder: Path) -> dict[str, Any]:
@@ -130,7 +148,7 @@ def prepare_biases(result: Result, folder: Path) -> dict[str, Any]:
         ]  # fmt: skip
 
     return {
-        "laws": [(name, file_name(name), law, rivals(law)) for name, law in result["quantities"].items()],
+        "laws": [(name_of(name), file_name(name), law, rivals(law)) for name, law in result["quantities"].items()],
         "rival_headings": ("law", "parameters", "ΔBIC", "weight", "scatter", "settings left out, median", "rms"),
         "prediction_headings": PREDICTION_HEADINGS,
         "predictions": prediction_rows(result),

@@ -153,7 +153,7 @@ def identified_sentences(fit: FlickerFit) -> list[str]:
 def _range(values: np.ndarray) -> str:
     """Smallest to largest of the groups' values, or the one."""
     low, high = f"{values.min():.2g}", f"{values.max():.2g}"
-    return low if len(values) == 1 else f"{low} to {high} in {len(values)} groups"
+    return low if low == high else f"{low} to {high} in {len(values)} groups"
 
 
 def open_sentences(fit: FlickerFit) -> list[str]:
