@@ -29,8 +29,8 @@ SHARED = {
 OWN = {
     ("check", "init"): "the command alone", ("calibrate", "sample"): "`sample(result.fit, result.recordings)`",
     ("fit", "fix"): "`fixed`", ("fit", "bias_laws"): '`bias_priors="folder"`', ("fit", "sample"): "`sample(result, …)`",
-    ("inspect", "files"): "`recording`", ("inspect", "as_json"): "`health.to_dict()`",
-    ("inspect", "out"): "the command alone", ("inspect", "seed"): "`crop(recording, seed=1)`",
+    ("inspect", "files"): "`recording`", ("inspect", "as_json"): "`health.content()`",
+    ("inspect", "out"): "`health.report(folder)`", ("inspect", "seed"): "`crop(recording, seed=1)`",
     ("simulate", "condition"): "`recording.condition`", ("biases", "model"): "`laws`", ("biases", "predict"): "`laws`",
     ("design", "recorded"): "`recordings`", ("design", "biases"): "`bandwidth`, `noise`, `rate`",
     ("stimulus", "rate"): "`rate_hz`", ("stimulus", "rest"): "`rest_s`",

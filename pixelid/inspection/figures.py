@@ -32,8 +32,11 @@ SMOOTH = 2.8  # bins of time
 WIDE = 20.0  # ratio of counts from which a map of them takes logarithms
 
 
-def write_figures(health: Health, overview: Overview, folder: Path) -> None:
+def write_figures(health: Health, folder: Path) -> None:
     """Write rate.svg, and of recordings with addresses intervals.svg, pixels.svg and preview.npz, into `folder`."""
+    overview = health.overview
+    if overview is None:
+        return
     save_figure(draw_rate(health, overview), folder / "rate.svg")
     if not health.pooled:
         save_figure(draw_intervals(health, overview), folder / "intervals.svg")

@@ -62,8 +62,8 @@ MAY_IMPORT["cli"] = set(MAY_IMPORT)
 
 # Imports inside functions that point back on purpose: docs/architecture.md says why.
 BACK = {
-    ("fit", "report"), ("fit", "sample"), ("recordings", "inspection"), ("results", "inputs"), ("results", "report"),
-    ("stimuli", "recordings"), ("tables", "sample"),
+    ("fit", "report"), ("fit", "sample"), ("inspection", "report"), ("recordings", "inspection"),
+    ("results", "inputs"), ("results", "report"), ("stimuli", "recordings"), ("tables", "sample"),
 }  # fmt: skip
 ON_CALL = {"compilation", "public", *(name for name in MAY_IMPORT if name.startswith("api"))}  # import when called
 FILES = sorted(PACKAGE.rglob("*.py"))
