@@ -335,3 +335,14 @@ def test_a_result_in_the_place_of_recordings_is_said(tmp_path, capsys):
         words = [command, str(tmp_path / "low"), "--model", "dvs128", "--out", str(tmp_path / "out")]
         assert main([*words, "--model", "ideal"] if command == "compare" else words) == 2
         assert "low: is a result of `pixelid lowlight`, not recordings" in capsys.readouterr().err
+
+
+def test_progress_in_a_notebook_is_one_output_that_is_empty_in_the_end():
+    pytest.importorskip("ipykernel")
+    nbformat, nbclient = pytest.importorskip("nbformat"), pytest.importorskip("nbclient")
+    source = 'import pixelid as px\npx.simulate("ideal", "sine", pixels=4).events.width'
+    notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(source)])
+    nbclient.NotebookClient(notebook, timeout=120, kernel_name="python3").execute()
+    line, value = notebook.cells[0].outputs
+    assert line.data["text/html"] == ""
+    assert value.data["text/plain"] == "2"
