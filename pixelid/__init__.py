@@ -20,9 +20,8 @@ __version__ = "0.1.0"
 _HOMES = {
     **dict.fromkeys(("calibrate", "check", "find_model", "fit", "gap", "sample", "simulate"), "pixelid.api"),
     **dict.fromkeys(("align", "convert", "crop", "inspect", "open"), "pixelid.api_recordings"),
-    **dict.fromkeys(
-        ("compare", "conform", "design", "export", "lowlight", "report", "sensor", "stimulus"), "pixelid.api_analyses"
-    ),
+    **dict.fromkeys(("compare", "conform", "report", "sensor"), "pixelid.api_analyses"),
+    **dict.fromkeys(("design", "export", "lowlight", "stimulus"), "pixelid.api_models"),
     **dict.fromkeys(("biases", "flicker", "latency", "noise", "rates"), "pixelid.api_tables"),
     **dict.fromkeys(("dataset", "load_field", "reconstruct", "render", "view"), "pixelid.api_scenes"),
     "Model": "pixelid.model.model",
@@ -40,7 +39,8 @@ __all__ = [
 
 if TYPE_CHECKING:
     from pixelid.api import calibrate, check, find_model, fit, gap, sample, simulate
-    from pixelid.api_analyses import compare, conform, design, export, lowlight, report, sensor, stimulus
+    from pixelid.api_analyses import compare, conform, report, sensor
+    from pixelid.api_models import design, export, lowlight, stimulus
     from pixelid.api_recordings import align, convert, crop, inspect, open
     from pixelid.api_scenes import dataset, load_field, reconstruct, render, view
     from pixelid.api_tables import biases, flicker, latency, noise, rates

@@ -66,7 +66,7 @@ def command(
     from pixelid.results import wrapped
 
     with claimed(out, overwrite, [source]):
-        from pixelid.api_analyses import stimulus
+        from pixelid.api_models import stimulus
         from pixelid.design.waveform_files import check_name, full_scale
         from pixelid.model.options import assignments
 

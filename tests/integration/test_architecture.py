@@ -37,7 +37,7 @@ MAY_IMPORT = {
 }
 MAY_IMPORT["inputs"] = BASE | {"model", "recordings", "stimuli"}
 MAY_IMPORT["compilation"] = set()  # everything else is imported when a function is called
-for face in ("api", "api_analyses", "api_recordings", "api_scenes", "api_tables"):
+for face in ("api", "api_analyses", "api_models", "api_recordings", "api_scenes", "api_tables"):
     MAY_IMPORT[face] = BASE | {"public"}  # everything else is imported when a function is called
 MAY_IMPORT["api_scenes"] |= {"options", "nerf"}  # options are data; no code of the analysis comes with them
 MAY_IMPORT["biases"] = {"documents", "errors", "statistics"}

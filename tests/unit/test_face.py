@@ -95,7 +95,7 @@ def test_functions_are_documented_pickled_and_patched_like_any_other(name, monke
 
 def test_examples():
     import pixelid.api
-    import pixelid.api_analyses
+    import pixelid.api_models
     import pixelid.api_recordings
     import pixelid.errors
     import pixelid.model.model
@@ -103,7 +103,7 @@ def test_examples():
     import pixelid.recordings.selection
     import pixelid.results
 
-    homes = (pixelid.api, pixelid.api_analyses, pixelid.api_recordings, pixelid.errors, pixelid.results,
+    homes = (pixelid.api, pixelid.api_models, pixelid.api_recordings, pixelid.errors, pixelid.results,
              pixelid.recordings.selection, pixelid.recordings.recording, pixelid.model.model)  # fmt: skip
     for home in homes:
         tried = doctest.testmod(home)
