@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
+from typing import Any
 
 from pixelid.public import in_notebook
 
@@ -52,7 +53,8 @@ def _line_in_notebook() -> Iterator[Callable[[str, float], None]]:
 
     from pixelid.errors import printable
 
-    handle, shown_at = display(HTML(""), display_id=True), 0.0
+    shown_at = 0.0
+    handle: Any = display(HTML(""), display_id=True)
 
     def report(what: str, fraction: float) -> None:
         nonlocal shown_at
