@@ -61,7 +61,9 @@ def styled(draw: Callable[Arguments, Drawn]) -> Callable[Arguments, Drawn]:
         with matplotlib.rc_context(STYLE | colours):  # pyright: ignore[reportArgumentType]
             axes = draw(*args, **kwargs)
             _write_powers_plainly(axes)
-            return axes
+            shows = matplotlib.is_interactive()
+        matplotlib.interactive(shows)  # a notebook turns it on with the first figure, and the style would turn it off
+        return axes
 
     return with_style
 

@@ -346,3 +346,14 @@ def test_progress_in_a_notebook_is_one_output_that_is_empty_in_the_end():
     line, value = notebook.cells[0].outputs
     assert line.data["text/html"] == ""
     assert value.data["text/plain"] == "2"
+
+
+def test_every_figure_of_a_notebook_is_shown():
+    pytest.importorskip("ipykernel")
+    nbformat, nbclient = pytest.importorskip("nbformat"), pytest.importorskip("nbclient")
+    head = 'import pixelid as px\nrecording = px.simulate("ideal", "sine", pixels=4, progress=False)'
+    sources = [head, "recording.plot();", "recording.plot();"]
+    notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(source) for source in sources])
+    nbclient.NotebookClient(notebook, timeout=120, kernel_name="python3").execute()
+    for cell in notebook.cells[1:]:
+        assert [list(output.data) for output in cell.outputs] == [["text/plain", "image/png"]]
