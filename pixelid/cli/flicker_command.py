@@ -43,6 +43,9 @@ def command(recording, out, frequency, groups, model, overwrite, seed, quiet):
     if not all(part.isascii() and part.isdigit() and len(part) < 5 and int(part) > 0 for part in (across, down)):
         raise InputError(f"--groups: expected two whole numbers as in 8x6, found {groups[:60]!r}")
     with claimed(out, overwrite, [recording, model]):
+        from pixelid.inputs import check_given
+
+        check_given([recording], [model])
         from pixelid.api_tables import flicker
 
         with bar(quiet, compiles=True) as report:
