@@ -46,7 +46,10 @@ def summarise_rates(result: Result, folder: Path) -> Summary:
 
 def summarise_latency(result: Result, folder: Path) -> Summary:
     medians = {name: errors["median"] for name, errors in result["errors"].items() if "median" in errors}
-    own = shlex.quote(folder_name(folder))
+    own, models = shlex.quote(folder_name(folder)), sorted(folder.glob("*/model.toml"))
+    model = (
+        own if (folder / "model.toml").is_file() else f"{own}/{shlex.quote(models[0].parent.name)}" if models else ""
+    )
     missed = [error["rms_without_spoiled"] for error in medians.values() if error["rms_without_spoiled"] is not None]
     return Summary(
         "latency",
@@ -65,7 +68,7 @@ def summarise_latency(result: Result, folder: Path) -> Summary:
         command_line("latency", result, out=folder),
         f"First-event latency of {', '.join(result['cameras'])}",
         healthy=_healthy(result),
-        next=(("How slow it is in low light", f"pixelid lowlight {own} --out {own}_lowlight"),),
+        next=(("How slow it is in low light", f"pixelid lowlight {model} --out {own}_lowlight"),) if model else (),
     )
 
 
