@@ -13,7 +13,7 @@ from pixelid.errors import InputError
 
 @pytest.fixture(scope="module")
 def fitted():
-    return px.fit(px.simulate("dvs128", "chirp", pixels=4), "dvs128", starts=0, progress=False)
+    return px.fit(px.simulate("dvs128", "chirp", pixels=4), "dvs128", starts=0)
 
 
 @pytest.fixture

@@ -40,7 +40,8 @@ def test_axes_and_series_are_in_the_drawing(tmp_path):
     path = save_figure(drawn(), tmp_path / "a.svg")
     again = save_figure(drawn(), tmp_path / "b.svg")
     assert path.read_bytes() == again.read_bytes()
-    first, second = json.loads(html.unescape(re.search(r'data-axes="([^"]*)"', path.read_text())[1]))
+    (attribute,) = re.findall(r'data-axes="([^"]*)"', path.read_text())
+    first, second = json.loads(html.unescape(attribute))
     assert first["x"] | {"label": ""} == {"ends": [0.1, 1e5], "scale": "log", "label": ""}
     assert first["y"]["label"] == "rate (1/s)"
     assert second["x"]["names"] == {"0.0": "chirp", "1.0": "steps"}

@@ -16,7 +16,7 @@ ISSUED = {
 @pytest.fixture
 def names(monkeypatch):
     monkeypatch.syspath_prepend(DOCS)
-    import names
+    import names  # pyright: ignore[reportMissingImports]
 
     yield names
     sys.modules.pop("names")
@@ -55,6 +55,6 @@ def test_every_function_that_was_asked_for_is_there_and_documented(monkeypatch):
     assert set(pixelid.__all__) >= ISSUED
     pytest.importorskip("sphinx")
     monkeypatch.syspath_prepend(DOCS)
-    import reference
+    import reference  # pyright: ignore[reportMissingImports]
 
     assert set(reference.NAMES) == set(pixelid.__all__)
