@@ -117,7 +117,11 @@ def latency(
     cameras, inputs = chosen_cameras(str(model)) if model is not None else ((), ())
     if predict:
         return result.of_prediction(table, cameras, *inputs, seed=seed)
-    report = progress or (lambda what, share: None)
+
+    def report(what: str, share: float) -> None:
+        if progress is not None:
+            progress(what, share)
+
     fits = 0.2 if sample else 1.0  # of the time, about
     fit = fit_latency(table, lambda done: report("cameras", fits * done), cameras)
     drawn = None
