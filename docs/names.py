@@ -48,7 +48,8 @@ def pairs() -> list[tuple[str, Any, list[click.Parameter]]]:
 
     context = click.Context(cli)
     commands = {name: cli.get_command(context, name) for name in COMMANDS}
-    return [(name, getattr(pixelid, name, None), command.params) for name, command in commands.items() if command]
+    public = {name: getattr(pixelid, name) for name in pixelid.__all__}
+    return [(name, public.get(name), command.params) for name, command in commands.items() if command]
 
 
 def apart() -> list[str]:

@@ -348,7 +348,8 @@ def test_progress_in_a_notebook_is_one_output_that_is_empty_in_the_end():
     assert value.data["text/plain"] == "2"
 
 
-def test_every_figure_of_a_notebook_is_shown():
+def test_every_figure_of_a_notebook_is_shown(monkeypatch):
+    monkeypatch.delenv("MPLBACKEND", raising=False)  # which the command line sets for itself
     pytest.importorskip("ipykernel")
     nbformat, nbclient = pytest.importorskip("nbformat"), pytest.importorskip("nbclient")
     head = 'import pixelid as px\nrecording = px.simulate("ideal", "sine", pixels=4, progress=False)'
