@@ -18,6 +18,7 @@ from pathlib import Path
 
 import measured
 import method_figures
+import names
 import notebook_pages
 import reference
 from page_parts import ROOT, percent, table
@@ -228,6 +229,7 @@ PAGES: dict[str, Callable[[], str]] = {
     "moving_plane": measured.moving_plane,
     "schemas": schemas,
     "api": reference.page,
+    "names": names.page,
     **method_figures.PAGES,
     **notebook_pages.PAGES,
 }
@@ -235,8 +237,13 @@ PAGES: dict[str, Callable[[], str]] = {
 
 def write_all(folder: Path) -> None:
     """Write every page into `folder`; a page that has not changed keeps its time, so that Sphinx skips it."""
-    folder.mkdir(exist_ok=True)
+    (folder / "api" / "types").mkdir(parents=True, exist_ok=True)
+    objects = {f"api/{name}": text for name, text in reference.pages().items()}
     for name, make in PAGES.items():
-        path, text = folder / f"{name}.md", make()
+        objects[name] = make()
+    for name, text in objects.items():
+        path = folder / f"{name}.md"
         if not path.exists() or path.read_text() != text:
             path.write_text(text)
+    for left in set((folder / "api").rglob("*.md")) - {folder / f"{name}.md" for name in objects}:
+        left.unlink()

@@ -11,13 +11,19 @@ import io
 import re
 
 from docutils.core import publish_doctree
+from page_parts import table
 from sphinx.ext.napoleon import GoogleDocstring
 
-NAMES = (
-    "check", "calibrate", "open", "find_model", "simulate", "fit", "sample", "gap", "lowlight", "design",
-    "reconstruct", "load_field", "stimulus", "biases", "view",
-    "Model", "Recording", "Stimulus", "Status",
-)  # fmt: skip
+TASKS = {
+    "At the bench": ("check", "calibrate", "stimulus", "design"),
+    "Recordings": ("open", "inspect", "convert", "align", "crop", "Recording", "Stimulus"),
+    "A circuit": ("find_model", "Model", "simulate", "lowlight", "export", "view"),
+    "Fit and search": ("fit", "sample", "compare", "gap", "conform", "sensor", "Status"),
+    "Tables and lamps": ("rates", "latency", "flicker", "noise", "biases"),
+    "Scenes": ("dataset", "reconstruct", "load_field", "render"),
+    "Any result": ("report",),
+}
+NAMES = tuple(name for names in TASKS.values() for name in names)
 RESULTS = (
     "pixelid.results.Result",
     "pixelid.bench.check.CheckReport",
@@ -29,6 +35,7 @@ RESULTS = (
     "pixelid.design.result.DesignReport",
     "pixelid.design.waveform.Waveform",
     "pixelid.tables.biases.result.BiasLaws",
+    "pixelid.tables.result.TableResult",
     "pixelid.compare.compare.Comparison",
     "pixelid.sensors.sensor.SensorFit",
     "pixelid.nerf.reconstruct.Reconstruction",
@@ -39,9 +46,28 @@ WIDTH = 110
 
 
 def page() -> str:
-    """The reference as Markdown with embedded reStructuredText."""
-    blocks = [_entry(path, _at(path)) for path in (*(f"pixelid.{name}" for name in NAMES), *RESULTS)]
-    return "\n".join(f"```{{eval-rst}}\n{block}\n```\n" for block in blocks)
+    """The index by task, with links to a page of each object."""
+    tasks = {**TASKS, "What they return": tuple(path.rpartition(".")[2] for path in RESULTS)}
+    rows = [
+        (task, ", ".join(f"[{name}](_generated/api/{_file(name)}.md)" for name in names))
+        for task, names in tasks.items()
+    ]
+    every = "\n".join(f"_generated/api/{_file(name)}" for names in tasks.values() for name in names)
+    return f"{table(('task', 'objects'), rows)}\n```{{toctree}}\n:hidden:\n\n{every}\n```\n"
+
+
+def pages() -> dict[str, str]:
+    """By file, the page of each object: Markdown with embedded reStructuredText."""
+    made = {}
+    for path in (*(f"pixelid.{name}" for name in NAMES), *RESULTS):
+        name = path.rpartition(".")[2]
+        made[_file(name)] = f"# {name}\n\n```{{eval-rst}}\n{_entry(path, _at(path))}\n```\n"
+    return made
+
+
+def _file(name: str) -> str:
+    """Types in a folder of their own: not every disk knows `stimulus` from `Stimulus`."""
+    return f"types/{name}" if name[0].isupper() else name
 
 
 def _at(path: str) -> object:

@@ -17,56 +17,37 @@ from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
 
-__all__ = [
-    "Model",
-    "Recording",
-    "Status",
-    "Stimulus",
-    "align",
-    "biases",
-    "calibrate",
-    "check",
-    "convert",
-    "crop",
-    "design",
-    "find_model",
-    "fit",
-    "gap",
-    "inspect",
-    "load_field",
-    "lowlight",
-    "open",
-    "reconstruct",
-    "sample",
-    "simulate",
-    "stimulus",
-    "view",
-]
-
-if TYPE_CHECKING:
-    from pixelid.api import calibrate, check, find_model, fit, gap, sample, simulate
-    from pixelid.api_analyses import biases, design, load_field, lowlight, reconstruct, stimulus, view
-    from pixelid.api_recordings import align, convert, crop, inspect, open
-    from pixelid.model.model import Model
-    from pixelid.recordings.recording import Recording
-    from pixelid.status import Status
-    from pixelid.stimuli.stimulus import Stimulus
-
-_ELSEWHERE = {
+_HOMES = {
+    **dict.fromkeys(("calibrate", "check", "find_model", "fit", "gap", "sample", "simulate"), "pixelid.api"),
     **dict.fromkeys(("align", "convert", "crop", "inspect", "open"), "pixelid.api_recordings"),
-    "biases": "pixelid.api_analyses",
-    "design": "pixelid.api_analyses",
-    "load_field": "pixelid.api_analyses",
-    "lowlight": "pixelid.api_analyses",
-    "reconstruct": "pixelid.api_analyses",
-    "stimulus": "pixelid.api_analyses",
-    "view": "pixelid.api_analyses",
+    **dict.fromkeys(("compare", "conform", "report", "sensor"), "pixelid.api_analyses"),
+    **dict.fromkeys(("design", "export", "lowlight", "stimulus"), "pixelid.api_models"),
+    **dict.fromkeys(("biases", "flicker", "latency", "noise", "rates"), "pixelid.api_tables"),
+    **dict.fromkeys(("dataset", "load_field", "reconstruct", "render", "view"), "pixelid.api_scenes"),
     "Model": "pixelid.model.model",
     "Recording": "pixelid.recordings.recording",
     "Status": "pixelid.status",
     "Stimulus": "pixelid.stimuli.stimulus",
 }
-_HOMES = {name: _ELSEWHERE.get(name, "pixelid.api") for name in __all__}
+
+__all__ = [
+    "Model", "Recording", "Status", "Stimulus", "align", "biases", "calibrate", "check", "compare", "conform",
+    "convert", "crop", "dataset", "design", "export", "find_model", "fit", "flicker", "gap", "inspect", "latency",
+    "load_field", "lowlight", "noise", "open", "rates", "reconstruct", "render", "report", "sample", "sensor",
+    "simulate", "stimulus", "view",
+]  # fmt: skip
+
+if TYPE_CHECKING:
+    from pixelid.api import calibrate, check, find_model, fit, gap, sample, simulate
+    from pixelid.api_analyses import compare, conform, report, sensor
+    from pixelid.api_models import design, export, lowlight, stimulus
+    from pixelid.api_recordings import align, convert, crop, inspect, open
+    from pixelid.api_scenes import dataset, load_field, reconstruct, render, view
+    from pixelid.api_tables import biases, flicker, latency, noise, rates
+    from pixelid.model.model import Model
+    from pixelid.recordings.recording import Recording
+    from pixelid.status import Status
+    from pixelid.stimuli.stimulus import Stimulus
 
 
 def __getattr__(name: str) -> Any:  # PEP 562: what is heavy loads when it is used

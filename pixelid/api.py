@@ -9,6 +9,7 @@ either; a stimulus is a `Stimulus`, a built-in name or a file.  `progress(what, 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -109,6 +110,7 @@ def fit(
     form: str = "discrete",
     pixel_levels: PixelLevelsLike = None,
     bias_priors: bool | str = False,
+    profile: bool = False,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> FitResult:
@@ -127,6 +129,7 @@ def fit(
             spread over pixels where it is known, {"gain": 0.2, "background": None}.
         bias_priors: priors of thresholds, dead time and the follower's cutoff from the bias settings of jAER's headers;
             a folder of `pixelid biases`: from its laws at the codes of the recordings' .bias files.
+        profile: also profile every parameter: bounded, one-sided or flat.
         seed: of the starts.
         progress: called with what is done and the fraction; by default a bar where a terminal or notebook shows it.
 
@@ -148,11 +151,16 @@ def fit(
     held = dict(fixed or {})
     circuit = circuit.fix({name: value for name, value in held.items() if name in circuit.parameters})
     nuisances = {name: value for name, value in held.items() if name not in circuit.parameters}
-    return run(
+    result = run(
         opened, circuit, gauge=Gauge.parse(gauge) if isinstance(gauge, Mapping) else gauge, fixed=nuisances,
         starts=starts, between=between, engine=engine, form=form, pixel_levels=pixel_levels,
         bias_priors=bias_priors, seed=seed, progress=progress,
     )  # fmt: skip
+    if profile:
+        from pixelid.fit.uncertainty.profiles import profiled
+
+        result = profiled(result, opened, progress)
+    return replace(result, fitted=tuple(opened))
 
 
 @public
@@ -214,6 +222,8 @@ def gap(
     leave_out: Sequence[str] = (),
     recommend: bool = True,
     pixel_levels: PixelLevelsLike = None,
+    workers: int = 0,
+    cluster: str = "",
     resume: str | Path | None = None,
     progress: Progress | None = None,
 ) -> GapReport:
@@ -228,6 +238,8 @@ def gap(
         recommend: also work out what to record next.
         pixel_levels: as of `fit`; the search takes them as they are estimated with the base, and again with what it
             names.
+        workers: local Dask processes; 0: this process alone.
+        cluster: address of a running Dask scheduler.
         resume: a file that keeps the fits made so far, for a search that is interrupted and called again.
         progress: called with what is done and the fraction; by default a bar where a terminal or notebook shows it.
 
@@ -241,13 +253,14 @@ def gap(
         >>> import pixelid as px
         >>> px.gap("session/", "dvs128").verdict  # doctest: +SKIP
     """
+    from pixelid.cluster import Where
     from pixelid.gap.gap import gap as run
     from pixelid.inputs import as_model, as_recordings
 
     file = None if resume is None else Path(resume)
     return run(
         as_recordings(recordings), as_model(model), alpha=alpha, seed=seed, leave_out=leave_out, progress=progress,
-        resume=file, recommend=recommend, pixel_levels=pixel_levels,
+        resume=file, recommend=recommend, pixel_levels=pixel_levels, where=Where(cluster, workers),
     )  # fmt: skip
 
 

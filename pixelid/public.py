@@ -79,7 +79,7 @@ def _reporting(progress: Any) -> Generator[Callable[[str, float], None] | None]:
         yield None
     elif progress is not None:
         yield progress
-    elif not (sys.stderr.isatty() or _in_notebook()):
+    elif not (sys.stderr.isatty() or in_notebook()):
         yield None
     else:
         from pixelid.cli.progress import bar
@@ -88,7 +88,7 @@ def _reporting(progress: Any) -> Generator[Callable[[str, float], None] | None]:
             yield report
 
 
-def _in_notebook() -> bool:
+def in_notebook() -> bool:
     """Whether a Jupyter kernel runs this."""
     shell = sys.modules.get("IPython")
     running = shell.get_ipython() if shell is not None else None

@@ -21,6 +21,9 @@ from pixelid.status import Status
 if TYPE_CHECKING:
     import pandas as pd  # pyright: ignore[reportMissingTypeStubs]
 
+    from pixelid.inputs import RecordingsLike
+    from pixelid.recordings.recording import Recording
+
 ROWS_SHOWN = 18  # of each table, in a `repr`: with headings and a few sentences one screen of 24 lines
 SENTENCES_SHOWN = 4
 WIDTH_SHOWN = 110
@@ -67,19 +70,20 @@ class Table:
         return "\n".join(lines)
 
     def _narrowed(self, rows: Sequence[tuple[str, ...]], widths: list[int], width: int) -> list[int]:
-        """Widths of the columns that fit into `width`: the widest of words gives way, down to its longest word."""
-        widths = list(widths)
-        least = [
-            max(len(word) for row in (self.headings, *rows) for word in (row[k].split() or [""]))
-            if heading in self.left
-            else widths[k]
-            for k, heading in enumerate(self.headings)
-        ]
-        while sum(widths) + 2 * (len(widths) - 1) > width:
-            wide = max(range(len(widths)), key=lambda k: (widths[k] > least[k]) * widths[k])
-            if widths[wide] <= least[wide]:
-                break
-            widths[wide] -= 1
+        """Widths of the columns that fit into `width`: the widest gives way, down to its longest word.
+
+        Numbers are broken last, at the dots of an interval, after words and headings.
+        """
+        widths, columns = list(widths), range(len(self.headings))
+        cells = [max((len(row[k]) for row in rows), default=0) for k in columns]
+        word = [max(len(part) for row in (self.headings, *rows) for part in (row[k].split() or [""])) for k in columns]
+        whole = [word[k] if self.headings[k] in self.left else max(word[k], cells[k]) for k in columns]
+        for least in (whole, word):
+            while sum(widths) + 2 * (len(widths) - 1) > width:
+                wide = max(columns, key=lambda k, least=least: (widths[k] > least[k]) * widths[k])
+                if widths[wide] <= least[wide]:
+                    break
+                widths[wide] -= 1
         return widths
 
 
@@ -155,6 +159,33 @@ class Result(ABC):
             return
         with whole_folder(folder, overwrite) as temporary:
             self.write(temporary)
+
+    def write_figures(self, folder: Path, recordings: Sequence[Recording] = ()) -> None:  # noqa: B027
+        """Draw what the page shows into an existing folder, if anything; some figures need the recordings."""
+
+    def report(self, folder: str | Path, recordings: RecordingsLike | None = None, *, overwrite: bool = False) -> Path:
+        """Write the result's folder with its figures and its page, as the command line does.
+
+        Args:
+            folder: of the result.
+            recordings: that it was made from, where figures show events; without them these are left out.
+            overwrite: replace the result of pixelid that the folder holds.
+
+        Returns:
+            The path of the page, report.html.
+
+        Raises:
+            InputError: the folder is there and is not to be replaced, or belongs to no result of pixelid.
+        """
+        from pixelid.inputs import as_recordings
+        from pixelid.report.html import write_report
+
+        opened = [] if recordings is None else as_recordings(recordings)
+        with whole_folder(Path(folder), overwrite) as temporary:
+            self.write(temporary)
+            self.write_figures(temporary, opened)
+            write_report(temporary)
+        return Path(folder) / "report.html"
 
     def __repr__(self) -> str:
         sentences = list(self.sentences())

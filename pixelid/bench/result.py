@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
 
 from pixelid.bench.check import Row
 from pixelid.bench.statements import Statement
-from pixelid.fit.result import FitResult
+from pixelid.fit.result import Estimate, FitResult
 from pixelid.gap.result import GapReport
+from pixelid.inputs import ModelLike
 from pixelid.model.files import save_model
 from pixelid.model.model import Model
 from pixelid.recordings.recording import Recording
@@ -120,9 +121,29 @@ class Calibration(Result):
         texts = (self.advice, *(s.sentence for s in self.statements), self.unit, *self.fit.unidentified, *self.notes)
         return [text for text in texts if text]
 
+    def __getitem__(self, name: str) -> Estimate:
+        """The estimate of a parameter: `result["on_threshold"].interval_95`.  Raises InputError for unknown names."""
+        return self.fit[name]
+
+    def plot_intervals(self) -> Any:
+        """The free parameters with their 95 % intervals, over the values where the fit started: a matplotlib axis."""
+        from pixelid.figures.intervals import draw_intervals
+
+        return draw_intervals(self.as_dict()["parameters"], self.start)
+
+    def plot_truth(self, truth: ModelLike) -> Any:
+        """The free parameters with their 95 % intervals and true values: a matplotlib axis."""
+        return self.fit.plot_truth(truth)
+
     def write_companions(self, folder: Path) -> None:
         """Write model.toml."""
         save_model(self.model, folder / "model.toml")
+
+    def write_figures(self, folder: Path, recordings: Sequence[Recording] = ()) -> None:
+        """Draw the recordings and what is left over; the result has its recordings itself."""
+        from pixelid.bench.figures import write_figures
+
+        write_figures(self, self.recordings, folder)
 
 
 def _refitted(effects: list[dict[str, Any]], fit: FitResult) -> list[dict[str, Any]]:

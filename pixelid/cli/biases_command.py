@@ -38,20 +38,18 @@ def command(tables, out, model, predict, at, quantity, bias, unit, overwrite, se
     from pixelid.cli.progress import bar
     from pixelid.cli.terminal import say_result
     from pixelid.errors import InputError
-    from pixelid.outputs import claimed, whole_folder
+    from pixelid.outputs import claimed
 
     if predict != (model is not None):
         raise InputError("--predict: expected --model with it" if predict else "--model: expected --predict with it")
     with claimed(out, overwrite, [*tables, *([model] if model else [])]):
-        from pixelid.report.html import write_report
         from pixelid.tables.biases.reading import Stated
         from pixelid.tables.biases.result import bias_laws
 
-        with bar(quiet) as report, whole_folder(out, overwrite) as folder:
+        with bar(quiet) as report:
             result = bias_laws(tables, laws=model, at=at, stated=Stated(quantity, bias, unit), seed=seed,
                                progress=report)  # fmt: skip
-            result.write(folder)
-            write_report(folder)
+        result.report(out, overwrite=overwrite)
     if not quiet:
         say_result(result, out)
     return result.status.exit_code

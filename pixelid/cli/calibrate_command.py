@@ -58,22 +58,20 @@ def command(
     start = None if model is None else find_model(model)
     with claimed(out, overwrite, [*found.paths, *([model] if model else [])]):
         from pixelid.bench.calibrate import calibrate
-        from pixelid.bench.figures import write_figures
         from pixelid.report.html import write_report
 
         kept = out.with_name(f".{out.name}.stages")  # interrupted and called again, finished stages are read back
         with bar(quiet, compiles=True) as report, _without_leftovers(kept):
             result = calibrate(found, model=start, roi=roi, pixels=pixels, seed=seed, resume=kept, progress=report)
-            recordings = result.recordings
             if sample:
                 from pixelid.sample.sample import sample as draw
 
-                posterior = draw(result.fit, recordings, seed=seed, progress=report)
+                posterior = draw(result.fit, result.recordings, seed=seed, progress=report)
         with whole_folder(out, overwrite) as folder:
             result.write(folder)
             if sample:
                 posterior.write(folder)
-            write_figures(result, recordings, folder)
+            result.write_figures(folder)
             write_report(folder)
         shutil.rmtree(kept, ignore_errors=True)
     if not quiet:

@@ -35,7 +35,7 @@ def command(bench: Path, stated, roi, pixels, init: bool, as_json: bool, seed: i
     from pixelid.bench.check import check
     from pixelid.bench.files import TOML, find_bench, write_bench
     from pixelid.cli.progress import bar
-    from pixelid.cli.terminal import say
+    from pixelid.cli.terminal import say, say_result
     from pixelid.errors import InputError
     from pixelid.outputs import plain
 
@@ -51,5 +51,6 @@ def command(bench: Path, stated, roi, pixels, init: bool, as_json: bool, seed: i
     if as_json:
         click.echo(json.dumps(plain(result.as_dict()), indent=2))
     elif not quiet:
-        say(result.summary(), *([f"{found.folder / TOML} is written"] if init else []))
+        say_result(result)
+        say(*([f"{found.folder / TOML} is written"] if init else []))
     return result.status.exit_code

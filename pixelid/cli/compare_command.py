@@ -31,26 +31,16 @@ def command(recordings, models, out, folds, sample, overwrite, seed, quiet):
     """Fit every MODEL to RECORDINGS and judge it on pixels that its fit has not seen."""
     from pixelid.cli.progress import bar
     from pixelid.cli.terminal import say_result
-    from pixelid.outputs import claimed, whole_folder
+    from pixelid.inputs import check_given
+    from pixelid.outputs import claimed
 
     with claimed(out, overwrite, [*recordings, *models]):
-        from pixelid.inputs import check_given
-        from pixelid.model.shipped import find_model
-        from pixelid.recordings import open_recordings
-
-        check_given(recordings)
-        circuits, opened = [find_model(name) for name in models], open_recordings(recordings)
-        from pixelid.compare import compare
-        from pixelid.compare.figures import draw_held_out
-        from pixelid.figures.style import save_figure
-        from pixelid.report.html import write_report
+        check_given(recordings, models)
+        from pixelid.api_analyses import compare
 
         with bar(quiet, compiles=True) as report:
-            outcome = compare(opened, circuits, folds=folds, seed=seed, posteriors=sample, progress=report)
-        with whole_folder(out, overwrite) as folder:
-            outcome.write(folder)
-            save_figure(draw_held_out(outcome.as_dict()), folder / "held_out.svg")
-            write_report(folder)
+            result = compare(recordings, models, folds=folds, sample=sample, seed=seed, progress=report)
+        result.report(out, overwrite=overwrite)
     if not quiet:
-        say_result(outcome, out)
-    return outcome.status.exit_code
+        say_result(result, out)
+    return result.status.exit_code

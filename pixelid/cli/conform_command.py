@@ -27,7 +27,7 @@ def command(recordings, model, out, with_, without, alpha, crop, where, overwrit
     from pixelid.cli.progress import bar
     from pixelid.cli.terminal import say_result
     from pixelid.interruption import keeping
-    from pixelid.outputs import claimed, whole_folder
+    from pixelid.outputs import claimed
 
     with claimed(out, overwrite, [*recordings, model]):
         from pixelid.inputs import check_given
@@ -39,16 +39,11 @@ def command(recordings, model, out, with_, without, alpha, crop, where, overwrit
         check_given(recordings)
         opened = open_recordings(recordings, crop, seed)
         from pixelid.conform.conform import conform
-        from pixelid.conform.figures import write_figures
-        from pixelid.report.html import write_report
 
         kept = out.with_name(f".{out.name}.fits")  # interrupted and called again, the search reads back its fits
         with keeping(kept, "fits"), bar(quiet, compiles=True) as report:
             result = conform(opened, base, alpha=alpha, seed=seed, progress=report, resume=kept, where=where)
-        with whole_folder(out, overwrite) as folder:
-            result.write(folder)
-            write_figures(result, opened, folder)
-            write_report(folder)
+        result.report(out, opened, overwrite=overwrite)
     if not quiet:
         say_result(result, out, remarks)
     return result.status.exit_code

@@ -56,27 +56,17 @@ def command(
     """
     from pixelid.cli.progress import bar
     from pixelid.cli.terminal import say_result
-    from pixelid.errors import InputError
-    from pixelid.outputs import claimed, whole_folder
+    from pixelid.outputs import claimed
 
-    if not source.exists():
-        raise InputError(f"{source}: no such file or folder")
-    if end is not None and end <= (start or 0.0):
-        raise InputError(f"--end: expected a time after --start, found {end:g} s")
     with claimed(out, overwrite, [source]):
-        from pixelid.nerf.data.published.convert import convert
-        from pixelid.nerf.data.published.figures import write_figures
-        from pixelid.report.html import write_report
+        from pixelid.api_scenes import dataset
 
-        with bar(quiet) as report, whole_folder(out, overwrite) as folder:
-            result = convert(
-                source, layout, folder, start=start, end=end, every=every, views=views, camera=camera,
-                time_offset=time_offset, thresholds=(on_threshold, off_threshold), dead_time=dead_time, seed=seed,
-                progress=report,
+        with bar(quiet) as report:
+            result = dataset(
+                layout, source, out, start=start, end=end, every=every, views=views, camera=camera,
+                time_offset=time_offset, on_threshold=on_threshold, off_threshold=off_threshold, dead_time=dead_time,
+                overwrite=overwrite, seed=seed, progress=report,
             )  # fmt: skip
-            result.write(folder)
-            write_figures(result, folder)
-            write_report(folder)
     if not quiet:
         say_result(result, out)
     return result.status.exit_code

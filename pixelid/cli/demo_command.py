@@ -29,8 +29,9 @@ def command(out: Path, only_bench: bool, overwrite: bool, seed: int, quiet: bool
     The session is as `pixelid calibrate` takes it: raw events, a photodiode's traces, clocks apart, one missing effect.
     """
     from pixelid.cli.progress import bar
-    from pixelid.cli.terminal import say
+    from pixelid.cli.terminal import columns, say
     from pixelid.outputs import claimed, whole_folder
+    from pixelid.results import wrapped
 
     with claimed(out, overwrite):
         from pixelid.demo.demo import copy_bench, run_demo
@@ -44,5 +45,6 @@ def command(out: Path, only_bench: bool, overwrite: bool, seed: int, quiet: bool
             demo = run_demo(folder, seed, report, kept)
         shutil.rmtree(kept, ignore_errors=True)
     if not quiet:
-        say(demo.result.sentence, demo.table().text(), demo.sentence, str(out / "report.html"))
+        sentences = (wrapped(text, columns()) for text in (demo.result.sentence, demo.sentence))
+        say(next(sentences), demo.table().text(width=columns()), next(sentences), str(out / "report.html"))
     return demo.result.status.exit_code

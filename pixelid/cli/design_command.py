@@ -64,7 +64,7 @@ def command(context, model, out, criterion, recorded, menu, pixels, draws, sprea
         return _recommend_setting(model, out, wanted, bias, frequency, overwrite, seed, quiet)
     from pixelid.cli.progress import bar
     from pixelid.cli.terminal import say_result
-    from pixelid.outputs import claimed, whole_folder
+    from pixelid.outputs import claimed
 
     with claimed(out, overwrite, [*recorded, model, *([menu] if menu else [])]):
         from pixelid.inputs import check_given
@@ -75,19 +75,14 @@ def command(context, model, out, criterion, recorded, menu, pixels, draws, sprea
         from pixelid.recordings import open_recordings
 
         circuit, fitted, opened = find_model(model), read_fit(Path(model)), open_recordings(recorded)
-        from pixelid.design.figures import write_figures
         from pixelid.design.result import design_report
-        from pixelid.report.html import write_report
 
         with bar(quiet, compiles=True) as report:
             result = design_report(
                 circuit, opened, fitted=fitted, sources=model_files(model), criterion=criterion, menu=menu,
                 pixels=pixels, draws=draws, spread=spread, per_second=per_second, seed=seed, progress=report,
             )  # fmt: skip
-            with whole_folder(out, overwrite) as folder:
-                result.write(folder)
-                write_figures(result.as_dict(), folder)
-                write_report(folder)
+            result.report(out, overwrite=overwrite)
     if not quiet:
         say_result(result, out)
     return result.status.exit_code
@@ -107,7 +102,7 @@ def _recommend_setting(model, out, wanted, bias, frequency, overwrite, seed, qui
     """`pixelid design FOLDER --biases`."""
     from pixelid.cli.terminal import say_result
     from pixelid.errors import InputError
-    from pixelid.outputs import claimed, whole_folder
+    from pixelid.outputs import claimed
 
     if not wanted:
         raise InputError("--biases: expected one or more of --bandwidth, --noise and --rate with it")
@@ -115,14 +110,9 @@ def _recommend_setting(model, out, wanted, bias, frequency, overwrite, seed, qui
         raise InputError("--frequency: is that of the light that --rate counts events of; expected --rate with it")
     with claimed(out, overwrite, [model]):
         from pixelid.design.bias_result import bias_report
-        from pixelid.design.figures import write_bias_figure
-        from pixelid.report.html import write_report
 
         result = bias_report(Path(model), wanted, bias=bias, frequency_hz=frequency, seed=seed)
-        with whole_folder(out, overwrite) as folder:
-            result.write(folder)
-            write_bias_figure(result.as_dict(), folder)
-            write_report(folder)
+        result.report(out, overwrite=overwrite)
     if not quiet:
         say_result(result, out)
     return result.status.exit_code

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import click
 
 from pixelid.cli import options
@@ -39,31 +37,18 @@ def command(model, to, out, white, level, with_, without, set_, overwrite, seed,
     own: options of v2e and DVS-Voltmeter, flags of the improved ESIM, the pixel's part of camera_calibration.npz of
     Deblur e-NeRF; IEBCS has none and gets JSON.
     """
-    from dataclasses import replace
-
-    from pixelid.cli.terminal import say, say_sentences
-    from pixelid.export.export import export, write
-    from pixelid.export.light import GREY_LEVELS, IRRADIANCE, Light
+    from pixelid.cli.terminal import columns, say, say_sentences
+    from pixelid.export.export import exported, write
     from pixelid.model.options import changed
-    from pixelid.model.shipped import find_model, model_files
+    from pixelid.model.shipped import find_model
     from pixelid.outputs import claimed, whole_file
-    from pixelid.provenance import provenance
-    from pixelid.results import read_unidentified
 
     with claimed(out, overwrite, [model]):
-        circuit_model, remarks = changed(find_model(model), with_, without, set_)
-        unit = circuit_model.radiance_unit
-        light = Light(white or GREY_LEVELS, level or white or GREY_LEVELS, unit)
-        result = export(circuit_model, to, light)
-        if white is None and unit in IRRADIANCE:
-            assumed = f"light: {GREY_LEVELS:g} {unit} stands for white, 255 grey levels, since --white does not say"
-            result = replace(result, lost=(*result.lost, assumed))
-        open_ = [f"not identified by the fit: {sentence}" for sentence in read_unidentified(Path(model))]
-        result = replace(result, lost=(*result.lost, *open_))
-        result = replace(result, provenance={"seed": seed, **provenance(*model_files(model))})
+        circuit, remarks = changed(find_model(model), with_, without, set_)
+        result = exported(circuit, to, white=white, level=level, spec=model, seed=seed)
         with whole_file(out, overwrite) as path:
             write(result, path, as_json=out.suffix == ".json")
     if not quiet:
-        say(*remarks, result.table().text())
+        say(*remarks, result.table().text(width=columns()))
         say_sentences(result.remarks())
         say(str(out))

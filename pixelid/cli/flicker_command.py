@@ -35,32 +35,24 @@ def command(recording, out, frequency, groups, model, overwrite, seed, quiet):
     Writes flicker.json (with what one frequency fixes and what it does not), phases.svg, maps.svg and report.html.
     """
     from pixelid.cli.progress import bar
-    from pixelid.cli.terminal import say, say_page, say_sentences
+    from pixelid.cli.terminal import say_result
     from pixelid.errors import InputError
-    from pixelid.outputs import claimed, whole_folder
+    from pixelid.outputs import claimed
 
     across, _, down = groups.partition("x")
     if not all(part.isascii() and part.isdigit() and len(part) < 5 and int(part) > 0 for part in (across, down)):
         raise InputError(f"--groups: expected two whole numbers as in 8x6, found {groups[:60]!r}")
     with claimed(out, overwrite, [recording, model]):
-        from pixelid.model.shipped import find_model
-        from pixelid.recordings import open_recording
+        from pixelid.inputs import check_given
 
-        circuit, opened = find_model(model), open_recording(recording)
-        from pixelid.report.html import write_report
-        from pixelid.tables.flicker import fit_flicker
-        from pixelid.tables.flicker.result import save_flicker
+        check_given([recording], [model])
+        from pixelid.api_tables import flicker
 
-        grid = (int(across), int(down))
         with bar(quiet, compiles=True) as report:
-            fit = fit_flicker(opened, circuit, near_hz=frequency, grid=grid, progress=report)
-        with whole_folder(out, overwrite) as folder:
-            written = save_flicker(fit, folder)
-            write_report(folder)
+            result = flicker(
+                recording, frequency=frequency, groups=(int(across), int(down)), model=model, progress=report
+            )
+        result.report(out, overwrite=overwrite)
     if not quiet:
-        say(f"{fit.frequency_hz:.4f} ± {fit.lock.error_hz:.2g} Hz, {len(fit.groups)} groups, {fit.seconds:.1f} s")
-        for title in ("identified", "unidentified", "disagreements"):
-            say(f"{title}:")
-            say_sentences(written[title])
-        say_page(out)
-    return written["status"].exit_code
+        say_result(result, out)
+    return result.status.exit_code

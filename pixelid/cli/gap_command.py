@@ -30,7 +30,7 @@ def command(
     from pixelid.cli.progress import bar
     from pixelid.cli.terminal import say_result
     from pixelid.interruption import keeping
-    from pixelid.outputs import claimed, whole_folder
+    from pixelid.outputs import claimed
 
     with claimed(out, overwrite, [*recordings, model]):
         from pixelid.inputs import check_given
@@ -41,9 +41,7 @@ def command(
         base, remarks = changed(find_model(model), with_, without, ())
         check_given(recordings)
         opened = open_recordings(recordings, crop, seed)
-        from pixelid.gap.figures import write_figures
         from pixelid.gap.gap import gap
-        from pixelid.report.html import write_report
 
         kept = out.with_name(f".{out.name}.fits")  # interrupted and called again, the search reads back its fits
         with keeping(kept, "fits"), bar(quiet, compiles=True) as report:
@@ -51,10 +49,7 @@ def command(
                 opened, base, alpha=alpha, seed=seed, pixel_levels=pixel_levels or None, progress=report, resume=kept,
                 where=where,
             )  # fmt: skip
-        with whole_folder(out, overwrite) as folder:
-            result.write(folder)
-            write_figures(result, opened, folder)
-            write_report(folder)
+        result.report(out, opened, overwrite=overwrite)
     if not quiet:
         say_result(result, out, remarks)
     return result.status.exit_code

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -44,7 +45,7 @@ def command(files: tuple[Path, ...], as_json: bool, out: Path | None, crop, over
         raise InputError(f"{more[0]}: one recording at a time; only .npy histograms of intervals come together")
     from contextlib import nullcontext
 
-    from pixelid.outputs import claimed, plain, whole_folder, write_json
+    from pixelid.outputs import claimed, plain
 
     with nullcontext() if out is None else claimed(out, overwrite, files):
         from pixelid.cli.progress import bar
@@ -54,27 +55,21 @@ def command(files: tuple[Path, ...], as_json: bool, out: Path | None, crop, over
         with bar(quiet) as report:
             report("reading", 0.0)
             recording = open_cropped(file, crop, seed)
-            from pixelid.inspection.health import inspect_closely
-            from pixelid.provenance import provenance
+            from pixelid.inspection.health import inspect
 
-            health, overview = inspect_closely(recording, report)
-            result = plain({**health.to_dict(), "file": str(file), "seed": seed, **provenance(file)})
+            health = replace(inspect(recording, report), file=file)
         if out is not None:
-            from pixelid.inspection.figures import write_figures
-            from pixelid.report.html import write_report
-
-            with whole_folder(out, overwrite) as folder:
-                write_json(folder / "inspect.json", result)
-                write_figures(health, overview, folder)
-                write_report(folder)
+            health.report(out, overwrite=overwrite, seed=seed)
     if as_json:
-        click.echo(json.dumps(result, indent=2))
+        click.echo(json.dumps(plain(health.content(seed)), indent=2))
     elif not quiet:
         from rich.console import Console
 
+        from pixelid.cli.terminal import say
         from pixelid.inspection.table import health_table
 
         Console(markup=False).print(health_table(health))
+        say(*([str(out / "report.html")] if out else []))
 
 
 def _still_scene(
@@ -110,6 +105,8 @@ def _still_scene(
     elif not quiet:
         from rich.console import Console
 
+        from pixelid.cli.terminal import say
         from pixelid.inspection.static_noise_words import static_noise_table
 
         Console(markup=False).print(static_noise_table(noise))
+        say(*([str(out / "report.html")] if out else []))

@@ -36,51 +36,17 @@ def command(tables, out, model, predict, camera, sample, overwrite, seed, quiet)
     several), figures and report.html.
     """
     from pixelid.cli.progress import bar
-    from pixelid.cli.terminal import say, say_page, say_sentences
-    from pixelid.errors import InputError
-    from pixelid.outputs import claimed, whole_folder
+    from pixelid.cli.terminal import say_result
+    from pixelid.outputs import claimed
 
-    if predict and model is None:
-        raise InputError("--predict: expected --model with it")
-    if predict and sample:
-        raise InputError("--sample: nothing to sample with --predict")
-    by_recipe = tables[0].suffix == ".toml"
-    if by_recipe and (len(tables) > 1 or predict or camera):
-        raise InputError(f"{tables[0]}: a recipe stands alone, without other tables, --predict and --camera")
     with claimed(out, overwrite, [*tables, *([model] if model else [])]):
-        from pixelid.report.html import write_report
-        from pixelid.tables.latency.choosing import chosen_cameras, chosen_rows
-        from pixelid.tables.latency.fit import fit_latency
-        from pixelid.tables.latency.reading import read_tables
-        from pixelid.tables.latency.recipe import read_latency_recipe
-        from pixelid.tables.latency.result import save_fit, save_prediction
+        from pixelid.api_tables import latency
 
-        recipe = read_latency_recipe(tables[0]) if by_recipe else None
-        table = recipe.table if recipe else chosen_rows(read_tables(tables, measured=not predict), camera)
-        cameras, files = chosen_cameras(model) if model is not None else ((), ())
-        if predict:
-            with whole_folder(out, overwrite) as folder:
-                written = save_prediction(table, cameras, folder, *files, seed=seed)
-                write_report(folder)
-        else:
-            fits = 0.2 if sample else 1.0  # of the time, about
-            with bar(quiet) as report, whole_folder(out, overwrite) as folder:
-                fit = fit_latency(table, lambda done: report("cameras", fits * done), cameras)
-                extra = {"seed": seed}
-                if sample:
-                    from pixelid.tables.latency.posterior import sample_fit
-
-                    extra |= sample_fit(
-                        fit, seed, folder, progress=lambda done: report("posterior", fits + (1.0 - fits) * done)
-                    )
-                written = save_fit(fit, folder, extra, recipe)
-                write_report(folder)
+        with bar(quiet) as report:
+            result = latency(
+                tables, model=model, predict=predict, camera=camera, sample=sample, seed=seed, progress=report
+            )
+        result.report(out, overwrite=overwrite)
     if not quiet:
-        for name, errors in written["errors"].items():
-            for statistic, e in errors.items():
-                clean = "–" if e["rms_without_spoiled"] is None else f"{100 * e['rms_without_spoiled']:.1f} %"
-                say(f"{name:10s} {statistic:8s} {e['rows']:5d} rows, rms {100 * e['rms']:5.1f} %, {clean} without the "
-                    f"{e['spoiled']} excluded rows")  # fmt: skip
-        say_sentences(written["limiting_stages"])
-        say_page(out)
-    return written["status"].exit_code
+        say_result(result, out)
+    return result.status.exit_code

@@ -41,7 +41,7 @@ def command(model, recordings, out, latency, camera, with_, without, set_, overw
     """
     from pixelid.cli.progress import bar
     from pixelid.cli.terminal import say_result
-    from pixelid.outputs import claimed, whole_folder
+    from pixelid.outputs import claimed
 
     with claimed(out, overwrite, [*recordings, model, *latency]):
         from pixelid.inputs import check_given
@@ -54,19 +54,14 @@ def command(model, recordings, out, latency, camera, with_, without, set_, overw
 
         circuit_model, remarks = changed(find_model(model), with_, without, set_)
         opened = open_recordings(recordings)
-        from pixelid.lowlight.figures import write_figures
         from pixelid.lowlight.result import lowlight_report
-        from pixelid.report.html import write_report
 
         with bar(quiet, compiles=True) as report:
             result = lowlight_report(
                 circuit_model, opened, fitted=read_fit(Path(model)), sources=model_files(model), latency=latency,
                 camera=camera, seed=seed, progress=report,
             )  # fmt: skip
-            with whole_folder(out, overwrite) as folder:
-                result.write(folder)
-                write_figures(result.as_dict(), circuit_model.circuit(), folder)
-                write_report(folder)
+            result.report(out, overwrite=overwrite)
     if not quiet:
         say_result(result, out, remarks)
     return result.status.exit_code

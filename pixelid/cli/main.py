@@ -42,7 +42,7 @@ COMMANDS = {
     "dataset": "Published raw data in the layout that reconstruct reads.",
     "reconstruct": "A sharp scene from motion-blurred events.",
     "render": "Views, videos, depth, meshes and splats of a reconstruction.",
-    "view": "A pixel to play with, in the browser.",
+    "view": "A pixel to play with, or a scene to fly through, in the browser.",
     "report": "A one-page report.html for any result folder.",
     "demo": "Calibrate a shipped bench session, compare with the truth.",
 }

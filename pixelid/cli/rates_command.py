@@ -33,42 +33,14 @@ def command(source, out, unit, bias_law, data, overwrite, seed, quiet):
     A CSV gives bandwidth, dead time and noise per column; a recipe gives how the image's pixels spread in bandwidth.
     Writes rates.json (with the cells that disagree, in words), rates.svg and report.html.
     """
-    from pixelid.cli.terminal import say, say_page, say_sentences
-    from pixelid.errors import InputError
-    from pixelid.outputs import claimed, whole_folder
+    from pixelid.cli.terminal import say_result
+    from pixelid.outputs import claimed
 
-    if not source.exists():
-        raise InputError(f"{source}: no such file")
     with claimed(out, overwrite, [source]):
-        from pixelid.report.html import write_report
-        from pixelid.tables.rates.bias_law import biases_of
-        from pixelid.tables.rates.pixel import fit_pixel
-        from pixelid.tables.rates.pool import fit_pool
-        from pixelid.tables.rates.reading import read_table
-        from pixelid.tables.rates.recipe import read_pool_recipe
-        from pixelid.tables.rates.result import save_pixel, save_pool
+        from pixelid.api_tables import rates
 
-        if source.suffix == ".toml":
-            if bias_law:
-                raise InputError("--bias-law: for a CSV of one pixel, not for a recipe")
-            table, file = read_pool_recipe(source, data)
-            fit = fit_pool(table)
-            with whole_folder(out, overwrite) as folder:
-                written = save_pool(fit, folder, file)
-                write_report(folder)
-        else:
-            table = read_table(source, unit)
-            if bias_law:
-                biases_of(table.columns)
-            pixel = fit_pixel(table)
-            with whole_folder(out, overwrite) as folder:
-                written = save_pixel(pixel, folder, bias_law)
-                write_report(folder)
+        result = rates(source, unit=unit, bias_law=bias_law, data=data)
+        result.report(out, overwrite=overwrite)
     if not quiet:
-        for name, v in written["parameters"].items():
-            say(f"{name:32s} {v['value']:10.4g} {v['unit']:12s} {written['precision'][name]}")
-        say(f"relative scatter {100 * written['relative_scatter']:.1f} %")
-        say_sentences(written.get("bias_law", {}).get("sentences", []))
-        say_sentences(written["disagreements"])
-        say_page(out)
-    return written["status"].exit_code
+        say_result(result, out)
+    return result.status.exit_code

@@ -64,7 +64,6 @@ def command(dataset, out, asked, checkpoint, overwrite, quiet):
     refuse_inputs(preview, [folder for folder, _ in given])
     from pixelid.nerf.data.dataset import read_dataset
     from pixelid.nerf.reconstruct import reconstruct
-    from pixelid.nerf.shown.reconstruction_figures import write_figures
     from pixelid.nerf.training import parallel
     from pixelid.nerf.training.checkpoint import search_file
     from pixelid.report.html import write_report
@@ -78,7 +77,7 @@ def command(dataset, out, asked, checkpoint, overwrite, quiet):
             if first:
                 with whole_folder(out, overwrite) as folder:
                     result.write(folder)
-                    write_figures(result, folder)
+                    result.write_figures(folder)
                     write_report(folder)
                     if result.state.finite:
                         shutil.copyfile(preview, folder / PREVIEW)

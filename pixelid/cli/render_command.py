@@ -51,45 +51,24 @@ def command(
     Writes frames/ (PNG in the unit of the test views), errors/ where --views has pictures of its poses, what the flags
     ask for, render.json and report.html.
     """
-    import math
-
     from pixelid.cli.progress import bar
     from pixelid.cli.terminal import say_result
     from pixelid.errors import InputError
-    from pixelid.outputs import claimed, whole_folder
+    from pixelid.outputs import claimed
 
-    if not reconstruction.is_dir():
-        found = "a file" if reconstruction.exists() else "nothing of that name"
-        raise InputError(f"{reconstruction}: expected the folder of a reconstruction, found {found}")
-    if views is not None and way is not None:
-        raise InputError(f"--path {way}: --views says already where from; give one of them")
     for name in ("up", "distance"):
         if views is not None and options.is_given(click.get_current_context(), name):
             raise InputError(f"--{name}: is for --path; --views says already where from")
     with claimed(out, overwrite, [reconstruction, *([views] if views else [])]):
-        from pixelid.nerf.shown.figures import write_figures
-        from pixelid.nerf.shown.render import Wanted, render
-        from pixelid.nerf.shown.saved import SavedReconstruction
-        from pixelid.nerf.shown.ways import around, way_of_file
-        from pixelid.report.html import write_report
+        from pixelid.api_scenes import render
 
-        saved = SavedReconstruction.load(reconstruction)
-        if views is not None:
-            angle = math.radians(fov) if options.is_given(click.get_current_context(), "fov") else None
-            cameras = way_of_file(views, size, angle, frames)
-        else:
-            cameras = around(
-                saved.field.low, saved.field.high, way or "orbit", frames, size or (400, 400), fov=math.radians(fov),
-                up=up, distance=distance,
-            )  # fmt: skip
-        with bar(quiet, compiles=True) as report, whole_folder(out, overwrite) as folder:
+        with bar(quiet, compiles=True) as report:
             result = render(
-                reconstruction, saved, cameras, folder, Wanted(video, depth, mesh, splats, fps),
-                supersample=supersample, progress=report,
+                reconstruction, out, views=views, path=way, frames=frames, size=size,
+                fov=fov if options.is_given(click.get_current_context(), "fov") else None, up=up, distance=distance,
+                supersample=supersample, video=video, fps=fps, depth=depth, mesh=mesh, splats=splats,
+                overwrite=overwrite, progress=report,
             )  # fmt: skip
-            result.write(folder)
-            write_figures(result, folder)
-            write_report(folder)
     if not quiet:
         say_result(result, out)
     return result.status.exit_code

@@ -53,7 +53,7 @@ def command(
     from pixelid.cli.progress import bar
     from pixelid.cli.terminal import say_result
     from pixelid.interruption import keeping
-    from pixelid.outputs import claimed, whole_folder
+    from pixelid.outputs import claimed
 
     keep = out.with_name(out.name + ".tiles")
     with claimed(out, overwrite, [*recordings, model]):
@@ -66,7 +66,6 @@ def command(
             bandwidth = "none"
         check_given(recordings)  # before anything slow is imported
         opened = open_recordings(recordings, crop, seed)
-        from pixelid.report.html import write_report
         from pixelid.sensors import fit_sensor
 
         with keeping(keep, "tiles"), bar(quiet, compiles=True) as report:
@@ -82,9 +81,7 @@ def command(
                 seed=seed,
                 progress=report,
             )
-        with whole_folder(out, overwrite) as folder:
-            fit.write(folder)
-            write_report(folder)
+        fit.report(out, overwrite=overwrite)
         shutil.rmtree(keep, ignore_errors=True)
     if not quiet:
         say_result(fit, out)

@@ -61,11 +61,12 @@ def command(
     trigger. A .csv has the columns t_s, light, trigger. The trigger rises at the light's first sample and at its last.
     The light that is to be expected goes to NAME_light.csv.
     """
-    from pixelid.cli.terminal import say
+    from pixelid.cli.terminal import columns, say
     from pixelid.outputs import claimed
+    from pixelid.results import wrapped
 
     with claimed(out, overwrite, [source]):
-        from pixelid.api_analyses import stimulus
+        from pixelid.api_models import stimulus
         from pixelid.design.waveform_files import check_name, full_scale
         from pixelid.model.options import assignments
 
@@ -77,6 +78,9 @@ def command(
         trace = wave.save(out, bits=int(bits), overwrite=overwrite)
     if not quiet:
         scale = f"; full scale is {full_scale(wave):.6g} {wave.stimulus.unit}" if out.suffix.lower() == ".wav" else ""
-        say(f"{out}: {rest:g} s of rest, then {wave.stimulus!r}; {rate:g} samples/s{scale}")
-        say("the trigger rises at the light's first sample and at its last: --align trigger")
-        say(f"{trace}: the light to expect, from the first trigger edge on")
+        lines = (
+            f"{out}: {rest:g} s of rest, then {wave.stimulus!r}; {rate:g} samples/s{scale}",
+            "the trigger rises at the light's first sample and at its last: --align trigger",
+            f"{trace}: the light to expect, from the first trigger edge on",
+        )
+        say(*(wrapped(line, columns()) for line in lines))

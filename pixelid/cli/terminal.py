@@ -10,14 +10,11 @@ import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import click
 
 from pixelid.errors import Doubtful, SetAside, printable
-
-if TYPE_CHECKING:
-    from pixelid.results import Result
 
 MOST_CHARACTERS = 1000  # of a line of an error
 VERDICTS = {
@@ -25,6 +22,14 @@ VERDICTS = {
     "not_identified": "yellow", "ambiguous": "yellow", "unknown": "yellow", "not_converged": "red", "diverged": "red",
     "interrupted": "red",
 }  # fmt: skip
+
+
+class Judged(Protocol):
+    """A result with a status."""
+
+    @property
+    def status(self) -> str: ...
+    def summary(self, width: int | None = None) -> str: ...
 
 
 def use_utf8() -> None:
@@ -74,17 +79,13 @@ def say_sentences(sentences: Iterable[str]) -> None:
     say(*(wrapped(f"- {sentence}", columns(), "  ") for sentence in sentences if sentence))
 
 
-def say_result(result: Result, out: Path, remarks: Iterable[str] = ()) -> None:
-    """Print a result, its verdict coloured, and where its page is."""
+def say_result(result: Judged, out: Path | None = None, remarks: Iterable[str] = ()) -> None:
+    """Print a result, its verdict coloured, and where its page is, if it has one."""
     say(*remarks)
     headline, line_break, rest = result.summary(columns()).partition("\n")
-    click.echo(coloured(printable(headline)) + line_break + printable(rest))
-    say_page(out)
-
-
-def say_page(out: Path) -> None:
-    """Print where the page of a result folder is."""
-    say(str(out / "report.html"))
+    click.echo(coloured(printable(headline), result.status) + line_break + printable(rest))
+    if out is not None:
+        say(str(out / "report.html"))
 
 
 def columns() -> int | None:
@@ -92,9 +93,15 @@ def columns() -> int | None:
     return shutil.get_terminal_size().columns if sys.stdout.isatty() else None
 
 
-def coloured(text: str) -> str:
-    """A line with the first word of `VERDICTS` in its colour, unless the terminal is set otherwise."""
+def coloured(text: str, status: str = "") -> str:
+    """A line with the first word of `VERDICTS` in its colour, else all of it in that of `status`.
+
+    The terminal may be set to show no colours.
+    """
     if not sys.stdout.isatty() or os.environ.get("NO_COLOR"):
         return text
     words = "|".join(VERDICTS)
-    return re.sub(rf"\b({words})\b", lambda word: click.style(word[1], fg=VERDICTS[word[1]], bold=True), text, count=1)
+    shown, found = re.subn(
+        rf"\b({words})\b", lambda word: click.style(word[1], fg=VERDICTS[word[1]], bold=True), text, count=1
+    )
+    return shown if found or status not in VERDICTS else click.style(text, fg=VERDICTS[status], bold=True)

@@ -116,6 +116,13 @@ class Comparison(Result):
             contender.result.write(place)
         save_arrays(folder / "held_out.npz", {name: c.held_out for name, c in self.contenders.items()})
 
+    def write_figures(self, folder: Path, recordings: Sequence[Recording] = ()) -> None:
+        """Draw the models on held-out pixels."""
+        from pixelid.compare.figures import draw_held_out
+        from pixelid.figures.style import save_figure
+
+        save_figure(draw_held_out(self.as_dict()), folder / "held_out.svg")
+
     @classmethod
     def load(cls, folder: str | Path) -> Comparison:
         """The comparison of a folder, with its fits.

@@ -22,7 +22,7 @@ MARKS = {PRESENT: "o", ABSENT: "x", NOT_DECIDABLE: "D", NOT_TESTED: "|"}
 def write_figures(report: ConformReport, recordings: Sequence[Recording], folder: Path) -> list[Path]:
     """Write the table's picture and the search's figures into `folder`; returns their paths."""
     drawn = save_figure(draw_effects(report.rows), folder / "effects.svg")
-    return [drawn, *write_figures_of_search(report.gap, recordings, folder)]
+    return [drawn, *(write_figures_of_search(report.gap, recordings, folder) if recordings else [])]
 
 
 @styled

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
 from pixelid.conform.row import ABSENT, NOT_DECIDABLE, NOT_TESTED, PRESENT, VERDICTS, Row, strengths_in_words
 from pixelid.gap.result import GapReport
+from pixelid.recordings.recording import Recording
 from pixelid.results import Result, Table, number
 from pixelid.status import Status
 
@@ -95,3 +97,9 @@ class ConformReport(Result):
     def write_companions(self, folder: Path) -> None:
         """Write the search next to the table: gap.json, model.toml (the grown model) and base.toml."""
         self.gap.write(folder)
+
+    def write_figures(self, folder: Path, recordings: Sequence[Recording] = ()) -> None:
+        """Draw the table, and the search."""
+        from pixelid.conform.figures import write_figures
+
+        write_figures(self, recordings, folder)

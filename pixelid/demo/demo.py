@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 from pixelid.bench.calibrate import calibrate
-from pixelid.bench.figures import write_figures
 from pixelid.bench.result import Calibration
 from pixelid.demo.hidden import HiddenValue, hidden_and_found, sentence
 from pixelid.documents import read_json
@@ -83,6 +82,6 @@ def run_demo(folder: Path, seed: int, progress: Callable[[str, float], None], re
     result.write(folder)
     write_json(folder / "demo.json", demo.as_dict())
     shutil.copyfile(BENCH / TRUTH, folder / TRUTH)
-    write_figures(result, result.recordings, folder)
+    result.write_figures(folder)
     write_report(folder)
     return demo

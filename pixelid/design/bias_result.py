@@ -56,7 +56,10 @@ class BiasReport(ContentResult):
         return [text for text in (self.content["why"], self.content["advice"]) if text]
 
     def write_companions(self, folder: Path) -> None:
-        """Nothing but the JSON."""
+        """Draw what was measured and predicted."""
+        from pixelid.design.figures import write_bias_figure
+
+        write_bias_figure(dict(self.content), folder)
 
 
 def bias_report(

@@ -73,6 +73,12 @@ class DesignReport(ContentResult):
         document = {"stimulus": {"kind": best["kind"], **best["parameters"]}}
         (folder / "next.toml").write_bytes(tomli_w.dumps(document).encode())
 
+    def write_figures(self, folder: Path, recordings: Sequence[Recording] = ()) -> None:
+        """Draw what the page shows."""
+        from pixelid.design.figures import write_figures
+
+        write_figures(dict(self.content), folder)
+
     @classmethod
     def load(cls, folder: str | Path) -> DesignReport:
         """The recommendation of a folder.

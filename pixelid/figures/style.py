@@ -20,6 +20,7 @@ from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 
+from pixelid.figures.interaction import mark_series, readings
 from pixelid.figures.words import SUPERSCRIPT
 
 INK, PAPER, MUTED = "#20242b", "#fefefd", "#8b919b"
@@ -60,7 +61,9 @@ def styled(draw: Callable[Arguments, Drawn]) -> Callable[Arguments, Drawn]:
         with matplotlib.rc_context(STYLE | colours):  # pyright: ignore[reportArgumentType]
             axes = draw(*args, **kwargs)
             _write_powers_plainly(axes)
-            return axes
+            shows = matplotlib.is_interactive()
+        matplotlib.interactive(shows)  # a notebook turns it on with the first figure, and the style would turn it off
+        return axes
 
     return with_style
 
@@ -167,8 +170,10 @@ def save_figure(axes: Any, path: Path) -> Path:
         warnings.filterwarnings("ignore", "Glyph")  # text stays text: the reader's machine has the script
         if path.suffix == ".svg":
             text = io.StringIO()
+            mark_series(figure)
             figure.savefig(text, format="svg", metadata={"Date": None})
-            path.write_text(without_control_characters(text.getvalue()), encoding="utf-8")
+            drawing = text.getvalue().replace("<svg ", f'<svg data-axes="{readings(figure)}" ', 1)
+            path.write_text(without_control_characters(drawing), encoding="utf-8")
         else:
             figure.savefig(path)
     plt.close(figure)

@@ -125,7 +125,6 @@ class Recipe:
         self, out: Path, overwrite: bool = False, progress: Callable[[str, float], None] | None = None
     ) -> FitResult:
         """Fit and write the result folder; nothing is left behind when it fails."""
-        from pixelid.fit.figures import write_figures
         from pixelid.report.html import write_report
 
         model, _ = self.prepared_model()
@@ -155,7 +154,7 @@ class Recipe:
 
                 result = sampled(result, recordings, folder, chain_beside(out), progress)
             result.write(folder)
-            write_figures(result, recordings, folder)
+            result.write_figures(folder, recordings)
             write_report(folder)
         return result
 

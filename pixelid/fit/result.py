@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -26,7 +26,8 @@ from pixelid.status import Status
 if TYPE_CHECKING:
     from jaxtyping import Float64
 
-    from pixelid.inputs import RecordingsLike
+    from pixelid.inputs import ModelLike, RecordingsLike
+    from pixelid.recordings.recording import Recording
 
 
 @dataclass(frozen=True)
@@ -64,6 +65,7 @@ class FitResult(Result):
     pixel_levels: gain and background of every pixel, None where they were not asked for
     bias_priors: what the recordings' biases imply and which priors the fit took of them, None where not asked for
     date: of the fit, ISO; empty where a file does not say it
+    fitted: the recordings themselves, where `px.fit` made the result: figures and report need no others
 
     Example:
         >>> import pixelid as px
@@ -99,6 +101,7 @@ class FitResult(Result):
     versions: Mapping[str, str] = field(default_factory=dict)
     inputs_sha256: Mapping[str, str] = field(default_factory=dict)
     date: str = field(default_factory=today)
+    fitted: tuple[Recording, ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "model", self._truthful())  # whatever made the result
@@ -237,6 +240,13 @@ class FitResult(Result):
         """Write model.toml, the fitted model."""
         save_model(self.model, folder / "model.toml")
 
+    def write_figures(self, folder: Path, recordings: Sequence[Recording] = ()) -> None:
+        """Draw rates and residuals, which need the recordings."""
+        from pixelid.fit.figures import write_figures
+
+        if recordings or self.fitted:
+            write_figures(self, recordings or self.fitted, folder)
+
     @classmethod
     def load(cls, folder: str | Path) -> FitResult:
         """The fit of a folder, as good as new: it can be sampled, simulated, plotted.
@@ -308,26 +318,51 @@ class FitResult(Result):
                 result.physical_intervals()  # which needs every value to be a number
             return result
 
-    def plot_response(self, recordings: RecordingsLike) -> np.ndarray:
-        """Measured event rates (filled) and the fitted model's (lines): matplotlib axes, one per recording."""
+    def plot_intervals(self, start: ModelLike | None = None) -> Any:
+        """The free parameters with their 95 % intervals, over the values of `start` or their own: a matplotlib axis."""
+        return self._plot_intervals(start, None)
+
+    def plot_truth(self, truth: ModelLike, start: ModelLike | None = None) -> Any:
+        """The same with true values, as of the model that simulated the recordings: a matplotlib axis."""
+        return self._plot_intervals(start, truth)
+
+    def _plot_intervals(self, start: ModelLike | None, truth: ModelLike | None) -> Any:
+        from pixelid.figures.intervals import draw_intervals
+        from pixelid.inputs import as_model
+
+        reference, true = (None if model is None else as_model(model).values for model in (start, truth))
+        return draw_intervals(self.as_dict()["parameters"], reference, true)
+
+    def plot_response(self, recordings: RecordingsLike | None = None) -> np.ndarray:
+        """Measured event rates (filled) and the fitted model's (lines): matplotlib axes, one per recording.
+
+        recordings: by default those fitted; a fit that was read from a folder needs them
+        """
         from pixelid.fit import figures
-        from pixelid.inputs import as_recordings
 
         draw = figures.draw_edges if self.observation == "pooled_rate" else figures.draw_conditions
-        return draw(self, as_recordings(recordings))
+        return draw(self, self._given_or_fitted(recordings))
 
-    def plot_residuals(self, recordings: RecordingsLike) -> np.ndarray:
+    def plot_residuals(self, recordings: RecordingsLike | None = None) -> np.ndarray:
         """What is left over, standardised, over time, wait and recording, and its distribution: matplotlib axes.
+
+        recordings: by default those fitted; a fit that was read from a folder needs them
 
         Raises:
             InputError: a fit of pooled counts, which have no residual per event.
         """
         from pixelid.fit import figures
-        from pixelid.inputs import as_recordings
 
         if self.observation == "pooled_rate":
             raise InputError("plot_residuals: pooled counts have no residual per event; use plot_response")
-        return figures.draw_residuals(self, as_recordings(recordings))
+        return figures.draw_residuals(self, self._given_or_fitted(recordings))
+
+    def _given_or_fitted(self, recordings: RecordingsLike | None) -> list[Recording]:
+        from pixelid.inputs import as_recordings
+
+        if recordings is None and not self.fitted:
+            raise InputError("recordings: expected those of the fit, which its folder does not hold")
+        return as_recordings(self.fitted if recordings is None else recordings)
 
 
 def _pair(limits: list | None) -> tuple[float | None, float | None] | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -24,6 +24,7 @@ from pixelid.status import Status
 
 if TYPE_CHECKING:
     from pixelid.inputs import RecordingsLike
+    from pixelid.recordings.recording import Recording
 
 Limits = tuple[float | None, float | None] | None  # of 95 %; None for a side that the data leave open
 
@@ -239,6 +240,13 @@ class GapReport(Result):
         save_model(self.model, folder / "model.toml")
         save_model(self.base, folder / "base.toml")
 
+    def write_figures(self, folder: Path, recordings: Sequence[Recording] = ()) -> None:
+        """Draw the search, and rates before and after, which need the recordings."""
+        from pixelid.gap.figures import write_figures
+
+        if recordings:
+            write_figures(self, recordings, folder)
+
     @classmethod
     def load(cls, folder: str | Path) -> GapReport:
         """The report of a folder, with its models.
@@ -282,6 +290,12 @@ class GapReport(Result):
         from pixelid.gap.figures import draw_map
 
         return draw_map(self)
+
+    def plot_forest(self) -> Any:
+        """What every effect that was fitted gains, per round: a matplotlib axis."""
+        from pixelid.gap.figures import draw_gains
+
+        return draw_gains(self)
 
     def plot_gap(self, recordings: RecordingsLike | None = None) -> np.ndarray:
         """The gap before and after, matplotlib axes: per recording, or with recordings as event rates over time.

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
+from pixelid.arrays import save_arrays
 from pixelid.figures.style import (
     INK,
     MUTED,
@@ -25,17 +26,22 @@ from pixelid.figures.words import seconds
 from pixelid.inspection.health import Health, Overview
 from pixelid.inspection.static_noise_result import StaticNoise
 
+PREVIEW = "preview.npz"  # t [ns], x, y, p of consecutive events
 HOT_PIXELS_SHOWN = 100
 SMOOTH = 2.8  # bins of time
 WIDE = 20.0  # ratio of counts from which a map of them takes logarithms
 
 
-def write_figures(health: Health, overview: Overview, folder: Path) -> None:
-    """Write rate.svg, and for recordings with addresses intervals.svg and pixels.svg, into `folder`."""
+def write_figures(health: Health, folder: Path) -> None:
+    """Write rate.svg, and of recordings with addresses intervals.svg, pixels.svg and preview.npz, into `folder`."""
+    overview = health.overview
+    if overview is None:
+        return
     save_figure(draw_rate(health, overview), folder / "rate.svg")
     if not health.pooled:
         save_figure(draw_intervals(health, overview), folder / "intervals.svg")
         save_figure(draw_pixels(health, overview), folder / "pixels.svg")
+        save_arrays(folder / PREVIEW, overview.preview)
 
 
 @styled

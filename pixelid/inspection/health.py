@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -15,7 +16,10 @@ from pixelid.inspection.counts import BusiestWindow, Counts, Survey, counts_of
 from pixelid.inspection.dead_time import DeadTime, find_dead_time
 from pixelid.inspection.hot_pixels import HotPixel, hot_of_counts
 from pixelid.inspection.lines import Line, Spectra
+from pixelid.inspection.preview import Preview
 from pixelid.inspection.tick import MIN_EVENTS, Tick, tick_of
+from pixelid.outputs import whole_folder, write_json
+from pixelid.provenance import provenance
 from pixelid.recordings.bursts import BurstCounter, Bursts
 from pixelid.recordings.doubts import doubts, polarity_doubt
 from pixelid.recordings.events import Events
@@ -41,6 +45,8 @@ class Health:
     biases: what the bias settings of jAER's header imply, as `biases.Implied.as_dict`; None where there are none
     source: what was inferred of the file and what was stated, as `recordings.source.Source.as_dict`
     doubts: what speaks against the events, in words
+    overview: what figures show
+    file: that the recording was read from, None for one in memory
     """
 
     name: str
@@ -59,6 +65,33 @@ class Health:
     biases: dict[str, Any] | None = None
     source: dict[str, Any] | None = None
     doubts: tuple[str, ...] = ()
+    overview: Overview | None = field(default=None, repr=False, compare=False)
+    file: Path | None = None
+
+    def report(self, folder: str | Path, *, overwrite: bool = False, seed: int = 0) -> Path:
+        """Write inspect.json, figures and page into a folder; returns the path of the page.
+
+        Args:
+            folder: of the result.
+            overwrite: replace the result of pixelid that the folder holds.
+            seed: that chose the pixels, recorded.
+
+        Raises:
+            InputError: the folder is there and is not to be replaced, or belongs to no result of pixelid.
+        """
+        from pixelid.inspection.figures import write_figures
+        from pixelid.report.html import write_report
+
+        with whole_folder(Path(folder), overwrite) as temporary:
+            write_json(temporary / "inspect.json", self.content(seed))
+            write_figures(self, temporary)
+            write_report(temporary)
+        return Path(folder) / "report.html"
+
+    def content(self, seed: int = 0) -> dict[str, Any]:
+        """Of inspect.json: `to_dict`, with where it comes from."""
+        files = [self.file] if self.file and self.file.is_file() else []
+        return {**self.to_dict(), "file": str(self.file or ""), "seed": seed, **provenance(*files)}
 
     def summary(self) -> str:
         """What was found, in words: one line per finding."""
@@ -119,6 +152,7 @@ class Overview:
         on, off: (k,) events in them.
         image: (height, width) events per pixel.
         intervals: (m,) intervals within pixels [ns], of long recordings a random share.
+        preview: t [ns], x, y, p of consecutive events from the middle on.
     """
 
     edges_s: np.ndarray
@@ -126,6 +160,7 @@ class Overview:
     off: np.ndarray
     image: np.ndarray
     intervals: np.ndarray
+    preview: Mapping[str, np.ndarray]
 
 
 def inspect(recording: Recording | LongRecording, progress: Progress = no_progress) -> Health:
@@ -141,11 +176,6 @@ def inspect(recording: Recording | LongRecording, progress: Progress = no_progre
         recording: with or without a stimulus.
         progress: called with what is done and the fraction.
     """
-    return inspect_closely(recording, progress)[0]
-
-
-def inspect_closely(recording: Recording | LongRecording, progress: Progress = no_progress) -> tuple[Health, Overview]:
-    """Health of `recording`, and what its figures show."""
     head = recording.head if isinstance(recording, LongRecording) else recording
     pooled = head.pooled
     survey = Survey(head.events.width, head.events.height, pooled)
@@ -162,13 +192,14 @@ def inspect_closely(recording: Recording | LongRecording, progress: Progress = n
     paces = None if pooled else Paces(survey, tick.clock_s)
     rates = _Rates(survey)
     bursts = BurstCounter() if pooled else None
+    preview = Preview(0.5 * (survey.first_ns + survey.last_ns) if survey.events else 0.0)
     seen = 0
     for events in _read(recording):
-        for part in (busiest, spectra, rates, *([paces] if paces else []), *([bursts] if bursts else [])):
+        for part in (busiest, spectra, rates, preview, *([paces] if paces else []), *([bursts] if bursts else [])):
             part.add(events)
         seen += len(events)
         progress("rates and lines", seen / max(survey.events, 1))
-    health = Health(
+    return Health(
         name=head.name,
         sensor=head.sensor,
         width=head.events.width,
@@ -185,8 +216,9 @@ def inspect_closely(recording: Recording | LongRecording, progress: Progress = n
         biases=_implied(head),
         source=Source.from_dict(head.attributes.get(ATTRIBUTE)).as_dict(),
         doubts=_doubts(recording, survey),
+        overview=Overview(rates.edges_s, rates.counts[1], rates.counts[0], survey.image, intervals, preview.events()),
+        file=head.source,
     )
-    return health, Overview(rates.edges_s, rates.counts[1], rates.counts[0], survey.image, intervals)
 
 
 def _doubts(recording: Recording | LongRecording, survey: Survey) -> tuple[str, ...]:

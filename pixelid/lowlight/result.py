@@ -87,6 +87,12 @@ class LowlightReport(ContentResult):
         """Write model.toml, the circuit analysed."""
         save_model(self.model, folder / "model.toml")
 
+    def write_figures(self, folder: Path, recordings: Sequence[Recording] = ()) -> None:
+        """Draw what the page shows."""
+        from pixelid.lowlight.figures import write_figures
+
+        write_figures(dict(self.content), self.model.circuit(), folder)
+
     @classmethod
     def load(cls, folder: str | Path) -> LowlightReport:
         """The analysis of a folder.

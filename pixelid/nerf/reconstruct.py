@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -37,6 +37,9 @@ from pixelid.nerf.training.train import held_out_residual
 from pixelid.parallel import memory_bytes
 from pixelid.provenance import input_hashes, versions
 from pixelid.status import Status
+
+if TYPE_CHECKING:
+    from pixelid.recordings.recording import Recording
 
 LEARNED = 0.9  # share of held-out changes left unexplained, above which the field explains too little
 # Standard deviations of a fit from which on a trained threshold contradicts it: the scene's contrast, which events tell
@@ -74,6 +77,12 @@ class Reconstruction(SavedReconstruction):
             np.savez_compressed(folder / RESIDUALS, on=self.left.on, off=self.left.off, rms=self.left.rms)
         if self.state.poses.trained:
             write_poses(folder, self.state.poses.refined())
+
+    def write_figures(self, folder: Path, recordings: Sequence[Recording] = ()) -> None:
+        """Draw views with their errors, how training went, and what events say beyond it."""
+        from pixelid.nerf.shown.reconstruction_figures import write_figures
+
+        write_figures(self, folder)
 
 
 def reconstruct(

@@ -54,6 +54,18 @@ def circuit_parts(
     }
 
 
+def interval_parts(parameters: Parameters, start: Mapping[str, float] | None = None, base: str = "") -> dict[str, Any]:
+    """Names for the macro `intervals` alone: of all free parameters, over `start` or their own values."""
+    free = {name: p for name, p in parameters.items() if not p.get("fixed")}
+    return {
+        "base": base,
+        "added": [],
+        "forest": forest(free, start or {}, {}, stages_only=False),
+        "untracked": [],
+        "any_open": not all(p["identified"] for p in free.values()),
+    }
+
+
 def _has_logarithm(entry: Mapping[str, Any]) -> bool:
     return bool(entry["value"]) and entry["value"] > 0
 

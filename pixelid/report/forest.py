@@ -51,6 +51,8 @@ def forest(
     start: Mapping[str, float],
     truth: Mapping[str, float],
     added: Collection[str] = (),
+    *,
+    stages_only: bool = True,
 ) -> Forest:
     """The forest of a result's free parameters that are positive.
 
@@ -59,10 +61,12 @@ def forest(
         start: values of the start model by parameter; parameters without one are relative to their own estimate.
         truth: true values by parameter, where they are known.
         added: effects that the start model lacked.
+        stages_only: parameters of the pixel's stages, in the order of the signal path; else all, in their own.
     """
     rows = [_row(quantity(name, p), p, start.get(name), truth.get(name), added) for name, p in parameters.items()]
-    drawn = [row for row in rows if row is not None and row.quantity.stage]
-    drawn.sort(key=lambda row: list(STAGES).index(row.quantity.stage))
+    drawn = [row for row in rows if row is not None and (row.quantity.stage or not stages_only)]
+    if stages_only:
+        drawn.sort(key=lambda row: list(STAGES).index(row.quantity.stage))
     low, high = _range(drawn)
     ticks = _ticks(low, high)
     return Forest(

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import shlex
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from markupsafe import Markup
+
 from pixelid.report.format import count, counted, interval, number, percent, seconds, sentence
 from pixelid.report.page import Number, Result, Summary, command_line, inputs_of
+from pixelid.report.scripts import script
 
 
 def summarise_inspect(result: Result, folder: Path) -> Summary:
@@ -55,7 +60,10 @@ def _answer(name: str, worries: list[str]) -> str:
 def prepare_inspect(result: Result, folder: Path) -> dict[str, Any]:
     from pixelid.inspection.table import rows_of_result
 
+    preview = _preview(result, folder)
     return {
+        "preview": preview,
+        "scripts": [script("page"), script("figures"), *([script("events")] if preview else [])],
         "findings": [list(row) for row in rows_of_result(result)],
         "hot": [[f"{p['x']}, {p['y']}", number(p["rate_hz"], 3), str(p["events"])] for p in result["hot_pixels"]],
         "lines": [
@@ -64,6 +72,24 @@ def prepare_inspect(result: Result, folder: Path) -> dict[str, Any]:
             for x in result["lines"]
         ],
     }  # fmt: skip
+
+
+def _preview(result: Result, folder: Path) -> dict[str, Any] | None:
+    """What `templates/events.js` draws, times in thousandths of the span; None where no events are kept."""
+    from pixelid.arrays import load_arrays
+    from pixelid.inspection.figures import PREVIEW
+
+    if not (folder / PREVIEW).is_file() or (folder / PREVIEW).is_symlink():
+        return None
+    kept = load_arrays(folder / PREVIEW)
+    columns = {name: np.ravel(kept[name]).astype(np.int64) for name in "txyp"}
+    n = min(len(column) for column in columns.values())
+    if n < 2 or not (span_ns := int(columns["t"][n - 1])):
+        return None
+    columns["t"] = columns["t"] * 1000 // span_ns
+    content = {name: column[:n].tolist() for name, column in columns.items()}
+    content |= {"width": int(result["width"]), "height": int(result["height"]), "span": seconds(1e-9 * span_ns)}
+    return {"count": n, "span": content["span"], "json": Markup(json.dumps(content).replace("<", "\\u003c"))}
 
 
 def summarise_static_noise(result: Result, folder: Path) -> Summary:

@@ -9,6 +9,8 @@ from __future__ import annotations
 import itertools
 import re
 import tomllib
+from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,12 +27,15 @@ from pixelid.report.methods import bibtex
 from pixelid.report.page import Page, recorded_command
 from pixelid.report.pages import PAGES
 from pixelid.report.pictures import Picture, read_picture
-from pixelid.report.quantities import quantity
+from pixelid.report.quantities import NAMES, name_of, quantity
 from pixelid.report.scripts import script
 from pixelid.results import check_parameters
+from pixelid.stages import LIBRARY
+from pixelid.status import Status
 
 TEMPLATES = Path(__file__).parent / "templates"
 CAPTIONS = Path(__file__).parent / "captions.toml"
+GREEK = ("alpha", "beta", "gamma")  # written as letters; other names of letters alone are words already
 CONTENTS = 4  # headings from which a page lists them
 _HEADING = re.compile(r'<h2(?: id="([^"]+)")?>(.*?)</h2>', re.DOTALL)
 LINKED = (".json", ".toml", ".nc", ".npz", ".csv", ".h5")
@@ -90,6 +95,7 @@ def _rendered(page: Page, result: dict[str, Any], folder: Path) -> str:
     import jinja2
 
     pictures = _pictures(page, folder)
+    named = partial(with_names, known=[*LIBRARY, *Status, *_parameters(result)])
     ids = itertools.count(1)
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(TEMPLATES),
@@ -105,7 +111,7 @@ def _rendered(page: Page, result: dict[str, Any], folder: Path) -> str:
         "interval": formats.interval,
         "percent": formats.percent,
         "chance": formats.chance,
-        "sentence": lambda text, capital=True: with_code(formats.sentence(text, capital)),
+        "sentence": lambda text, capital=True: with_code(formats.sentence(named(text), capital)),
         "with_powers": lambda cell: cell if isinstance(cell, Markup) else formats.with_powers(str(cell)),
         "quantity": quantity,
         "counted": formats.counted,
@@ -118,7 +124,7 @@ def _rendered(page: Page, result: dict[str, Any], folder: Path) -> str:
         "summary": page.summarise(result, folder),
         "files": sorted(printable(path.name) for path in folder.iterdir() if path.suffix in LINKED and path.is_file()),
         "others": (),
-        "scripts": [script("page")],
+        "scripts": [script("page"), script("figures")],
         "downloads": downloads(folder, page.file),
         "bibtex": bibtex(result),
         "methods": "",
@@ -142,6 +148,28 @@ def with_code(text: str) -> Markup:
     'see <code>pixelid gap</code> &amp; &lt;more&gt;'
     """
     return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text))))
+
+
+def with_names(text: object, known: Iterable[str]) -> str:
+    """A sentence with names in place of the parameters and effects in it, except in backticks and options.
+
+    >>> with_names("leak.rate_hz and `leak.rate_hz`, dead_time_s[fo 1477]", ["leak.rate_hz", "dead_time_s[fo 1477]"])
+    'leak and `leak.rate_hz`, dead time, fo 1477'
+    """
+    spelled = sorted((name for name in known if not name.isalpha() or name in GREEK), key=len, reverse=True)
+    if not spelled:
+        return str(text)
+    either = "|".join(map(re.escape, spelled))
+    words = {*LIBRARY, *Status}
+    names = {name: name.replace("_", " ") if name in words else name_of(name) for name in spelled}
+    return re.sub(rf"`[^`]*`|(?<![\w.\[-])(?:{either})(?![\w\[=]|\.\w)", lambda m: names.get(m[0], m[0]), str(text))
+
+
+def _parameters(result: dict[str, Any]) -> list[str]:
+    """The names of a result's parameters, and of those that its circuit may have."""
+    own = result.get("parameters")
+    of_effects = [p.name for effect in LIBRARY.values() for p in effect.parameters]
+    return [*(own if isinstance(own, dict) else ()), *of_effects, *NAMES]
 
 
 def with_contents(body: str) -> Markup:

@@ -10,7 +10,6 @@ import math
 from pathlib import Path
 from typing import Any
 
-from pixelid.errors import InputError
 from pixelid.model.model import Model
 from pixelid.model.shipped import find_model, shipped_models
 from pixelid.outputs import whole_file
@@ -44,10 +43,9 @@ def preset(model: Model) -> dict[str, Any]:
     }
 
 
-def refuse_scene(folder: str | Path) -> None:
-    """Raise InputError for a folder that holds a scene and no pixel."""
-    if (Path(folder) / "reconstruction.json").is_file() and not (Path(folder) / "model.toml").is_file():
-        raise InputError(f"{folder}: holds a scene and no pixel; `pixelid render` shows a scene")
+def is_scene(spec: str | Path) -> bool:
+    """Whether a folder holds a scene and no pixel."""
+    return (Path(spec) / "reconstruction.json").is_file() and not (Path(spec) / "model.toml").is_file()
 
 
 def view_page(model: Model | None = None) -> str:

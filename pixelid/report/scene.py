@@ -11,7 +11,7 @@ from pixelid.documents import is_number
 from pixelid.figures.words import in_words
 from pixelid.nerf.options import LEAST_SHARE
 from pixelid.report.format import count, counted, number, percent, seconds
-from pixelid.report.page import Number, Result, Summary, command_line, folder_name
+from pixelid.report.page import Number, Result, Summary, command_line, folder_name, inputs_of
 from pixelid.report.scripts import script
 
 PIXEL_UNITS = {
@@ -19,6 +19,7 @@ PIXEL_UNITS = {
     "differencing": "Hz", "on_threshold": "ln units", "off_threshold": "ln units", "refractory_s": "s",
     "dark": "units of the views",
 }  # fmt: skip
+FLY = "A page to fly through, with depth and events"
 CUTOFFS = {"follower": "sf_cutoff_hz", "differencing": "diff_cutoff_hz"}  # rad/s in the JSON
 
 
@@ -49,9 +50,10 @@ def summarise(result: Result, folder: Path) -> Summary:
         ),
         next=(
             (
-                "Views, depth and a flight through the scene",
+                "Views and depth around the scene",
                 f"pixelid render {own} --path orbit --depth --out {own}_views",
             ),
+            (FLY, f"pixelid view {own} --out {own}.html"),
         ),
     )
 
@@ -72,7 +74,7 @@ def prepare(result: Result, folder: Path) -> dict[str, Any]:
     other = f"bandwidth {beside['bandwidth']}, {_places(beside['psnr'], 1)} dB" if beside else ""
     return {
         "slid": (folder / "slider_reference.png").is_file(),
-        "scripts": [script("page"), script("slider")],
+        "scripts": [script("page"), script("figures"), script("slider")],
         "beside": other,
         "views": [row("mean", result["views"]), *views] if views else [],
         "lpips": lpips,
@@ -162,6 +164,7 @@ def prepare_dataset(result: Result, folder: Path) -> dict[str, Any]:
 
 def summarise_render(result: Result, folder: Path) -> Summary:
     """The card of rendered views."""
+    scene = inputs_of({}, folder)
     return Summary(
         "render",
         f"{counted(len(result['frames']), 'frame')} of the scene rendered",
@@ -176,6 +179,7 @@ def summarise_render(result: Result, folder: Path) -> Summary:
         ),
         "",
         headline="Rendered",
+        next=((FLY, f"pixelid view {scene} --out scene.html"),) if scene else (),
     )
 
 

@@ -2,12 +2,25 @@
 
 from __future__ import annotations
 
+import math
 import shlex
+import statistics
 from pathlib import Path
 from typing import Any
 
+from pixelid.report.circuit import interval_parts, uses_of
 from pixelid.report.format import counted, number, percent, seconds
 from pixelid.report.page import Number, Result, Summary, command_line, folder_name, identified
+from pixelid.report.quantities import name_of
+from pixelid.statistics import Z95
+
+REST = (("A light that fixes the rest, for a sound card", "pixelid stimulus chirp --for dvs128 --out chirp.wav"),)
+
+
+def _healthy(result: Result) -> bool | None:
+    """Not, where a fit ended well and leaves parameters open."""
+    opened = any(not p["identified"] and not p.get("fixed") for p in result["parameters"].values())
+    return False if result["status"] == "converged" and opened else None
 
 
 def summarise_rates(result: Result, folder: Path) -> Summary:
@@ -26,12 +39,17 @@ def summarise_rates(result: Result, folder: Path) -> Summary:
         ),
         command_line("rates", result, out=folder),
         {"pixel": "Event rates of one pixel", "pool": "Event rates of a light's image"}[result["model"]],
+        healthy=_healthy(result),
+        next=REST,
     )
 
 
 def summarise_latency(result: Result, folder: Path) -> Summary:
     medians = {name: errors["median"] for name, errors in result["errors"].items() if "median" in errors}
-    own = shlex.quote(folder_name(folder))
+    own, models = shlex.quote(folder_name(folder)), sorted(folder.glob("*/model.toml"))
+    model = (
+        own if (folder / "model.toml").is_file() else f"{own}/{shlex.quote(models[0].parent.name)}" if models else ""
+    )
     missed = [error["rms_without_spoiled"] for error in medians.values() if error["rms_without_spoiled"] is not None]
     return Summary(
         "latency",
@@ -49,7 +67,8 @@ def summarise_latency(result: Result, folder: Path) -> Summary:
         ),
         command_line("latency", result, out=folder),
         f"First-event latency of {', '.join(result['cameras'])}",
-        next=(("How slow it is in low light", f"pixelid lowlight {own} --out {own}_lowlight"),),
+        healthy=_healthy(result),
+        next=(("How slow it is in low light", f"pixelid lowlight {model} --out {own}_lowlight"),) if model else (),
     )
 
 
@@ -71,11 +90,13 @@ def summarise_noise(result: Result, folder: Path) -> Summary:
         ),
         command_line("noise", result, out=folder),
         "Noise events of still scenes",
+        healthy=_healthy(result),
+        next=uses_of(shlex.quote(folder_name(folder)))[:2] if (folder / "model.toml").is_file() else REST,
     )
 
 
 def summarise_biases(result: Result, folder: Path) -> Summary:
-    laws = result["quantities"]
+    laws, own = result["quantities"], shlex.quote(folder_name(folder))
     fitted = {name: law for name, law in laws.items() if "rivals" in law}
     rows = [row for law in laws.values() for row in law["rows"] if row["measured"] is not None]
     held = [
@@ -83,7 +104,7 @@ def summarise_biases(result: Result, folder: Path) -> Summary:
     ]
     return Summary(
         "biases",
-        f"{', '.join(laws) or 'Thresholds'} against bias codes",
+        _answer_biases(laws),
         result["status"],
         result["advice"],
         (
@@ -94,7 +115,24 @@ def summarise_biases(result: Result, folder: Path) -> Summary:
             Number("time taken", seconds(result["seconds"])),
         ),
         command_line("biases", result, out=folder),
+        next=(
+            (
+                "As priors of a fit, at the codes of its .bias files",
+                f"pixelid fit session/ --model dvs128 --bias-laws {own} --out fit",
+            ),
+        )
+        if fitted
+        else (),
     )
+
+
+def _answer_biases(laws: Result) -> str:
+    """The law of each quantity, and of which codes."""
+    words = [
+        f"{name_of(name)}: {law['law']} in {', '.join(law['codes'])}" for name, law in laws.items() if law.get("codes")
+    ]
+    said = "; ".join(words) or f"{', '.join(map(name_of, laws)) or 'thresholds'} against bias codes"
+    return said[:1].upper() + said[1:]
 
 
 def prepare_biases(result: Result, folder: Path) -> dict[str, Any]:
@@ -113,7 +151,7 @@ def prepare_biases(result: Result, folder: Path) -> dict[str, Any]:
         ]  # fmt: skip
 
     return {
-        "laws": [(name, file_name(name), law, rivals(law)) for name, law in result["quantities"].items()],
+        "laws": [(name_of(name), file_name(name), law, rivals(law)) for name, law in result["quantities"].items()],
         "rival_headings": ("law", "parameters", "ΔBIC", "weight", "scatter", "settings left out, median", "rms"),
         "prediction_headings": PREDICTION_HEADINGS,
         "predictions": prediction_rows(result),
@@ -136,6 +174,7 @@ def summarise_flicker(result: Result, folder: Path) -> Summary:
             Number("time taken", seconds(result["seconds"])),
         ),
         command_line("flicker", result, "--frequency", f"{frequency['value']:.4g}", out=folder),
+        next=REST,
     )
 
 
@@ -144,9 +183,26 @@ def prepare_flicker(result: Result, folder: Path) -> dict[str, Any]:
         return f"{entry['value']:.3g}" + (f" ± {entry['std']:.2g}" if entry["std"] is not None else " (open)")
 
     names = ("amplitude_over_on_threshold", "off_over_on_threshold", "phase_cycles", "noise_over_on_threshold")
-    return {
+    amplitudes = {f"group {g['column']}, {g['row']}": g["amplitude_over_on_threshold"] for g in result["groups"]}
+    entries = {name: _with_interval(entry) for name, entry in amplitudes.items()} if len(amplitudes) > 1 else {}
+    middle = statistics.median(entry["value"] for entry in amplitudes.values()) if amplitudes else 1.0
+    return interval_parts(entries, dict.fromkeys(entries, middle), "the median of the groups") | {
         "groups": [
             [f"{g['column']}, {g['row']}", str(g["events"]), *(cell(g[n]) for n in names), f"{g['dispersion']:.2f}"]
             for g in sorted(result["groups"], key=lambda g: -g["events"])
         ]
     }
+
+
+def _with_interval(entry: Result) -> Result:
+    """A group's amplitude over the ON threshold as the parameter of a forest: its 95 % interval from its error."""
+    ends = None
+    if entry["std"] is not None:
+        width = math.exp(Z95 * entry["std"] / entry["value"])
+        ends = [entry["value"] / width, entry["value"] * width]
+    return {**entry, "unit": "1", "interval_95": ends, "fixed": False}
+
+
+def prepare_parameters(result: Result, folder: Path) -> dict[str, Any]:
+    """The forest of a table's parameters."""
+    return interval_parts(result["parameters"])

@@ -1,15 +1,64 @@
-"""The way out of every table: status, parameters, what is open, rows, provenance; a folder with JSON and figures."""
+"""The way out of every table: status, parameters, what is open, rows, provenance; a result with its figures."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from pixelid.figures.style import save_figure
-from pixelid.outputs import write_json
+from pixelid.results import ContentResult, Table, interval, number
 from pixelid.status import STOPPED
 from pixelid.tables.fit import TableFit
+
+HEADINGS = ("parameter", "value", "95 % interval", "unit", "identified?")
+
+
+@dataclass(frozen=True, repr=False)
+class TableResult(ContentResult):
+    """What a table of measurements shows of a circuit: fitted, or predicted.
+
+    content: of the JSON (docs/formats.md);  figures: by name, functions that draw and return axes
+    companions: writes what belongs next to the JSON into a folder, as models and chains
+    """
+
+    figures: Mapping[str, Callable[[], Any]]
+    companions: Callable[[Path], None] = lambda folder: None
+
+    @property
+    def headline(self) -> str:
+        """What was fitted, and how it ended."""
+        scatter = self.content.get("relative_scatter")
+        words = f", scatter {scatter:.1%}" if isinstance(scatter, float) else ""
+        return f"{self.FILE.removesuffix('.json')}: {self.status}{words}"
+
+    def tables(self) -> list[Table]:
+        """The parameters."""
+        rows = tuple(
+            (name, number(p["value"]), interval(p["interval_95"]), p["unit"], self._known(name, p))
+            for name, p in self.content["parameters"].items()
+        )
+        return [Table("", HEADINGS, rows, frozenset({"parameter", "unit", "identified?"}))]
+
+    def _known(self, name: str, parameter: Mapping[str, Any]) -> str:
+        """How well a parameter is known, in words."""
+        precision = self.content.get("precision", {}).get(name, "")
+        return precision or ("fixed" if parameter.get("fixed") else "yes" if parameter["identified"] else "no")
+
+    def records(self) -> list[dict[str, Any]]:
+        """One row per parameter."""
+        return [{"parameter": name, **entry} for name, entry in self.content["parameters"].items()]
+
+    def sentences(self) -> list[str]:
+        """Advice, and where table and model disagree."""
+        return [self.content["advice"], *self.content["disagreements"]]
+
+    def write_companions(self, folder: Path) -> None:
+        """Write the figures, and what else belongs to the result."""
+        self.companions(folder)
+        for name, draw in self.figures.items():
+            save_figure(draw(), folder / f"{name}.svg")
 
 
 def table_result(fit: TableFit, name: str, observation: str) -> dict[str, Any]:
@@ -45,20 +94,3 @@ def open_sentences(parameters: Mapping[str, dict[str, Any]], *, at_rest: bool = 
         for name, v in parameters.items()
         if not v["identified"]
     ]
-
-
-def write_result(
-    result: dict[str, Any], file: str, figures: Mapping[str, Callable[[], Any]], folder: Path
-) -> dict[str, Any]:
-    """Write the JSON of a table and its figures into an existing folder; returns the JSON.
-
-    Args:
-        result: its content.
-        file: its name, as `rates.json`.
-        figures: by name, functions that draw and return axes.
-        folder: where to.
-    """
-    write_json(folder / file, result)
-    for name, draw in figures.items():
-        save_figure(draw(), folder / f"{name}.svg")
-    return result

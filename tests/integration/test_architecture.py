@@ -37,9 +37,9 @@ MAY_IMPORT = {
 }
 MAY_IMPORT["inputs"] = BASE | {"model", "recordings", "stimuli"}
 MAY_IMPORT["compilation"] = set()  # everything else is imported when a function is called
-for face in ("api", "api_analyses", "api_recordings"):
+for face in ("api", "api_analyses", "api_models", "api_recordings", "api_scenes", "api_tables"):
     MAY_IMPORT[face] = BASE | {"public"}  # everything else is imported when a function is called
-MAY_IMPORT["api_analyses"] |= {"options", "nerf"}  # options are data; no code of the analysis comes with them
+MAY_IMPORT["api_scenes"] |= {"options", "nerf"}  # options are data; no code of the analysis comes with them
 MAY_IMPORT["biases"] = {"documents", "errors", "statistics"}
 MAY_IMPORT["inspection"] = BASE | {"biases", "recordings", "stimuli"}
 MAY_IMPORT["simulate"] = MAY_IMPORT["likelihood"] = set(MAY_IMPORT) - {"inspection"}
@@ -62,9 +62,10 @@ MAY_IMPORT["cli"] = set(MAY_IMPORT)
 
 # Imports inside functions that point back on purpose: docs/architecture.md says why.
 BACK = {
-    ("fit", "report"), ("fit", "sample"), ("recordings", "inspection"), ("stimuli", "recordings"), ("tables", "sample"),
+    ("fit", "report"), ("fit", "sample"), ("inspection", "report"), ("recordings", "inspection"),
+    ("results", "inputs"), ("results", "report"), ("stimuli", "recordings"), ("tables", "sample"),
 }  # fmt: skip
-ON_CALL = {"api", "api_analyses", "api_recordings", "compilation", "public"}  # import what they need when called
+ON_CALL = {"compilation", "public", *(name for name in MAY_IMPORT if name.startswith("api"))}  # import when called
 FILES = sorted(PACKAGE.rglob("*.py"))
 
 

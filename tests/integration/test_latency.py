@@ -190,7 +190,7 @@ def test_nothing_is_drawn_where_the_fit_describes_nothing(tmp_path):
     (tmp_path / "table.csv").write_text("\n".join(lines) + "\n")
     fit = fit_latency(read_tables([tmp_path / "table.csv"]))
     assert fit.fits[0].regression.scale > 1.0
-    said = sample_fit(fit, 1, tmp_path, steps=12)["posterior"]["C"]
+    said = sample_fit(fit, 1, steps=12)[0]["C"]
     assert (said["status"], said["draws"], said["parameters"]) == ("misfit", 0, {})
     assert not (tmp_path / "posterior.npz").exists()
 
@@ -200,10 +200,10 @@ def test_the_posterior_is_that_of_the_fit_and_of_its_seed(tmp_path):
     lines += [f"C,l,1,{E},0,{5 / E + 30}" for E in (0.01, 0.03, 0.1, 0.3)]
     (tmp_path / "table.csv").write_text("\n".join(lines) + "\n")
     fit = fit_latency(read_tables([tmp_path / "table.csv"]))
-    said = sample_fit(fit, 1, tmp_path, steps=12)["posterior"]["C"]
-    again = sample_fit(fit, 1, tmp_path, steps=12)["posterior"]["C"]
+    said = sample_fit(fit, 1, steps=12)[0]["C"]
+    again = sample_fit(fit, 1, steps=12)[0]["C"]
     assert said["parameters"] == again["parameters"]
-    assert said["parameters"] != sample_fit(fit, 2, tmp_path, steps=12)["posterior"]["C"]["parameters"]
+    assert said["parameters"] != sample_fit(fit, 2, steps=12)[0]["C"]["parameters"]
     one = fit.fits[0]
     best = log_posterior(one, np.append(one.regression.x, np.log(0.05)))
     worse = log_posterior(one, np.append(one.regression.x + 1.0, np.log(0.05)))

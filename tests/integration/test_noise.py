@@ -27,7 +27,7 @@ from pixelid.tables.noise.fit import Linearised, fit_noise, started, starting_mo
 from pixelid.tables.noise.measured_intervals import EDGES_S, count_intervals
 from pixelid.tables.noise.model import FA_PER_LUX, FA_PER_UNIT, NoiseModel, in_unit
 from pixelid.tables.noise.reading import read_noise_tables, reduced_recordings
-from pixelid.tables.noise.result import model_beside, model_scales, predicted_result, save_prediction
+from pixelid.tables.noise.result import model_beside, model_scales, of_prediction, predicted_result
 from pixelid.tables.result import table_result
 
 LIGHTS = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
@@ -469,7 +469,7 @@ def test_intervals_between_noise_events_are_those_of_simulation(tmp_path):
     camera = find_model("dvs128").with_effect("shot_noise", {"density": 6e-4})
     camera = camera.set({"on_threshold": 0.2, "off_threshold": 0.2, "threshold_sigma": 0.02, "refractory_s": 1e-3})
     table = reduced_recordings([still_recording(camera, 24.0, 2.5, 8)])
-    result = save_prediction(table, camera, {}, tmp_path, 0)
+    result = of_prediction(table, camera, {}, 0).content
     (entry,) = result["intervals"]
     assert entry["count"] > 3000
     assert entry["distance"] < 0.03
@@ -477,7 +477,7 @@ def test_intervals_between_noise_events_are_those_of_simulation(tmp_path):
         assert one["predicted"] == pytest.approx(one["measured"], abs=0.02)
     assert not [said for said in result["disagreements"] if "intervals" in said]
     assert (tmp_path / "noise_intervals.svg").is_file()
-    slow = save_prediction(table, camera.set({"refractory_s": 1e-2}), {}, tmp_path, 0)
+    slow = of_prediction(table, camera.set({"refractory_s": 1e-2}), {}, 0).content
     assert slow["intervals"][0]["distance"] > 0.15
     assert "shorter ones differ by up to" in slow["disagreements"][-1]
 

@@ -84,6 +84,6 @@ def test_the_hidden_effect_is_found_and_without_its_name_unknown(tmp_path):
 @pytest.mark.slow
 def test_a_reconstruction_gains_by_its_pixel(tmp_path):
     text = printed(execute("reconstruction.ipynb", tmp_path))
-    psnr = [float(value) for value in re.findall(r"([\d.]+) dB", text)]  # none, nominal, fitted: 18.5, 20.6, 22.4 seen
+    psnr = [float(value) for value in re.findall(r"([\d.]+) dB", text)]  # none, nominal, fitted: 19.6, 22.7, 24.7 seen
     assert psnr[2] > psnr[1] + 0.5
     assert psnr[2] > psnr[0] + 2.0

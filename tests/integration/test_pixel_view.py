@@ -182,10 +182,10 @@ def test_the_page_of_a_fit_has_its_values(tmp_path, capsys):
     assert main(["view", "dvs128", "--out", str(tmp_path / "page.html")]) == 2  # there already
 
 
-def test_a_scene_and_an_unknown_folder_are_refused(tmp_path, capsys):
+def test_a_damaged_scene_and_an_unknown_folder_are_refused(tmp_path, capsys):
     (tmp_path / "scene").mkdir()
     (tmp_path / "scene" / "reconstruction.json").write_text("{}")
-    for name, words in (("scene", "holds a scene"), ("nothing", "no model")):
+    for name, words in (("scene", "status: missing"), ("nothing", "no model")):
         assert main(["view", str(tmp_path / name), "--out", str(tmp_path / "page.html")]) == 2
         message = capsys.readouterr().err
         assert words in message

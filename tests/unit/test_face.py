@@ -22,10 +22,13 @@ from pixelid.recordings import Events, Recording, write_recording
 
 NAMES = {
     "check", "calibrate", "open", "find_model", "simulate", "fit", "sample", "gap", "lowlight", "design",
-    "reconstruct", "load_field", "align", "convert", "crop", "inspect", "stimulus", "biases", "view",
+    "reconstruct", "load_field", "align", "convert", "crop", "inspect", "stimulus", "biases", "view", "compare",
+    "sensor", "rates", "latency", "flicker", "noise", "conform", "export", "dataset", "render", "report",
     "Model", "Recording", "Stimulus", "Status",
 }  # fmt: skip
-SUBPACKAGES = ("fit", "sample", "gap", "lowlight", "design", "simulate", "biases")
+SUBPACKAGES = (
+    "fit", "sample", "gap", "lowlight", "design", "simulate", "biases", "compare", "conform", "export", "report",
+)  # fmt: skip
 
 
 def test_the_names():
@@ -76,7 +79,7 @@ def test_functions_are_documented_pickled_and_patched_like_any_other(name, monke
     function = getattr(px, name)
     assert "Args:" in inspect.getdoc(function)
     assert "Returns:" in inspect.getdoc(function)
-    assert "progress" in inspect.signature(function).parameters
+    assert name in ("export", "report") or "progress" in inspect.signature(function).parameters
     assert pickle.loads(pickle.dumps(function)) is function
     assert inspect.isfunction(function)
     printed = pydoc.render_doc(function, renderer=pydoc.plaintext)
@@ -92,7 +95,7 @@ def test_functions_are_documented_pickled_and_patched_like_any_other(name, monke
 
 def test_examples():
     import pixelid.api
-    import pixelid.api_analyses
+    import pixelid.api_models
     import pixelid.api_recordings
     import pixelid.errors
     import pixelid.model.model
@@ -100,7 +103,7 @@ def test_examples():
     import pixelid.recordings.selection
     import pixelid.results
 
-    homes = (pixelid.api, pixelid.api_analyses, pixelid.api_recordings, pixelid.errors, pixelid.results,
+    homes = (pixelid.api, pixelid.api_models, pixelid.api_recordings, pixelid.errors, pixelid.results,
              pixelid.recordings.selection, pixelid.recordings.recording, pixelid.model.model)  # fmt: skip
     for home in homes:
         tried = doctest.testmod(home)
@@ -280,7 +283,7 @@ def test_empty_recordings_are_said(folder):
 
 
 def test_a_reconstruction_takes_models_and_results():
-    from pixelid.api_analyses import _as_file
+    from pixelid.api_scenes import _as_file
     from pixelid.model.files import load_model
 
     for given in (px.find_model("dvs128"), "dvs128", px.lowlight("dvs128")):
@@ -332,3 +335,26 @@ def test_a_result_in_the_place_of_recordings_is_said(tmp_path, capsys):
         words = [command, str(tmp_path / "low"), "--model", "dvs128", "--out", str(tmp_path / "out")]
         assert main([*words, "--model", "ideal"] if command == "compare" else words) == 2
         assert "low: is a result of `pixelid lowlight`, not recordings" in capsys.readouterr().err
+
+
+def test_progress_in_a_notebook_is_one_output_that_is_empty_in_the_end():
+    pytest.importorskip("ipykernel")
+    nbformat, nbclient = pytest.importorskip("nbformat"), pytest.importorskip("nbclient")
+    source = 'import pixelid as px\npx.simulate("ideal", "sine", pixels=4).events.width'
+    notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(source)])
+    nbclient.NotebookClient(notebook, timeout=120, kernel_name="python3").execute()
+    line, value = notebook.cells[0].outputs
+    assert line.data["text/html"] == ""
+    assert value.data["text/plain"] == "2"
+
+
+def test_every_figure_of_a_notebook_is_shown(monkeypatch):
+    monkeypatch.delenv("MPLBACKEND", raising=False)  # which the command line sets for itself
+    pytest.importorskip("ipykernel")
+    nbformat, nbclient = pytest.importorskip("nbformat"), pytest.importorskip("nbclient")
+    head = 'import pixelid as px\nrecording = px.simulate("ideal", "sine", pixels=4, progress=False)'
+    sources = [head, "recording.plot();", "recording.plot();"]
+    notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(source) for source in sources])
+    nbclient.NotebookClient(notebook, timeout=120, kernel_name="python3").execute()
+    for cell in notebook.cells[1:]:
+        assert [list(output.data) for output in cell.outputs] == [["text/plain", "image/png"]]

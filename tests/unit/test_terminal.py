@@ -130,3 +130,23 @@ def test_corner_plots_have_histograms_on_their_diagonal():
         (histogram,) = (patch for patch in axis.patches if len(patch.get_xy()) > 10)
         assert histogram.get_linewidth() > 0.5
     plt.close(axes[0, 0].figure)
+
+
+def test_numbers_and_headings_break_where_words_do_not_suffice():
+    rows = (("alpha", "1216 … 3.089e+06", "6.127e+04 … 6.131e+04", "1/s²/fA"),)
+    table = Table(
+        "", ("parameter", "95 % interval before", "95 % interval after", "unit"), rows, frozenset({"parameter"})
+    )
+    for width, lines in ((60, 3), (40, 4)):
+        text = table.text(width=width)
+        assert max(map(len, text.splitlines())) <= width
+        assert len(text.splitlines()) <= lines + 2
+        assert {"1216", "3.089e+06", "6.131e+04", "1/s²/fA"} <= set(text.split())
+    assert "6.127e+04 … 6.131e+04" in table.text(width=60)  # headings give way first
+
+
+def test_an_answer_without_a_verdict_in_it_has_the_colour_of_its_status(monkeypatch):
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True, raising=False)
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    assert terminal.coloured("Usable: 11 of 11 parameters identified", "converged").startswith("\x1b[32m\x1b[1mUsable")
+    assert terminal.coloured("words", "") == "words"

@@ -35,7 +35,7 @@ def draw_frames(result: Rendered, axes: Any = None) -> Any:
         finite = result.depths[np.isfinite(result.depths)]
         low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
         scale = {"cmap": f"{SEQUENTIAL}_r", "vmin": low, "vmax": high}
-        below.append((result.depths, scale, "distance (units of the poses), near is bright"))
+        below.append((result.depths, scale, "distance, near bright"))
     rows = 1 + len(below)
     if axes is None:
         axes = new_axes(rows, len(result.shown), 2.0, 2.0)

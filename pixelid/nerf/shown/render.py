@@ -68,6 +68,12 @@ class Rendered(WrittenResult):
         """One row per file."""
         return [{"file": name, "what": what} for name, what in self.content["files"].items()]
 
+    def write_companions(self, folder: Path) -> None:
+        """Draw a few of the frames; the others are there."""
+        from pixelid.nerf.shown.figures import write_figures
+
+        write_figures(self, folder)
+
 
 def render(
     path: Path,
@@ -100,7 +106,7 @@ def render(
     """
     watch = time.perf_counter()
     dark, correction = saved.dark, _correction(saved)
-    tone, notes = _tone(saved, correction, way, dark)
+    tone, notes = tone_of(saved, way, dark)
     pictures, lacking = pictures_of(way, correction, len(dark), saved.log_eps)
     notes += lacking
     if saved.status is not Status.converged:
@@ -162,15 +168,15 @@ def _correction(saved: SavedReconstruction) -> Correction | None:
     return saved.correction if saved.content["views"]["per_view"] else None
 
 
-def _tone(
-    saved: SavedReconstruction, correction: Correction | None, way: Way, dark: np.ndarray
+def tone_of(
+    saved: SavedReconstruction, way: Way, dark: np.ndarray
 ) -> tuple[Callable[[np.ndarray], np.ndarray], list[str]]:
     """Radiance (H, W, C) → what a picture shows of it, white at 1, and what has to be stated about it.
 
     With test views, their unit: the correction a·L^b − c of the scores, white at 1.  Without, nobody knows the
     exponent: radiance is scaled to the brightest of the first frame and coded by sRGB's 1/2.2.
     """
-    if correction is not None:
+    if (correction := _correction(saved)) is not None:
         one = np.ones(1)
         return lambda radiance: correction(radiance[None], one)[0], []
     first = render_views(saved.field, view_of(way, 0, len(dark)), dark)[0]

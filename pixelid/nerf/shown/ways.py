@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from pixelid.errors import InputError
@@ -61,8 +62,8 @@ class Way:
 
 
 def around(
-    low, high, kind: str, frames: int, size: tuple[int, int], *, fov: float = FIELD_OF_VIEW, up=(0.0, 0.0, 1.0),
-    distance: float | None = None,
+    low: ArrayLike, high: ArrayLike, kind: str, frames: int, size: tuple[int, int], *, fov: float = FIELD_OF_VIEW,
+    up: ArrayLike = (0.0, 0.0, 1.0), distance: float | None = None,
 ) -> Way:  # fmt: skip
     """A way around the scene that looks at its centre.
 

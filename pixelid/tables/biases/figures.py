@@ -9,6 +9,7 @@ import numpy as np
 
 from pixelid.biases.saved import Quantity
 from pixelid.figures.style import INK, MUTED, new_axes, series_colours, styled
+from pixelid.figures.words import with_unit
 from pixelid.tables.fit import SUSPECT_SCALES
 
 POINTS = 200
@@ -54,7 +55,7 @@ def draw_law(name: str, entry: Mapping[str, Any], quantity: Quantity | None, axe
         top.legend()
     if y.max() > 5.0 * y.min():
         top.set_yscale("log")
-    top.set_ylabel(f"{name} ({entry['unit']})")
+    top.set_ylabel(with_unit(name, entry["unit"]))
     top.set_ylim(0.7 * y.min(), 1.4 * y.max())
     bottom.axhspan(-SUSPECT_SCALES, SUSPECT_SCALES, color=MUTED, alpha=0.15, linewidth=0)
     bottom.axhline(0.0, color=INK, linewidth=0.6)

@@ -2,28 +2,61 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 
 from pixelid.parameters.parameter import OPEN_SD
 from pixelid.provenance import versions
+from pixelid.results import Table, number
 from pixelid.statistics import Z95, departures
 from pixelid.tables.flicker.circuit import Reading
 from pixelid.tables.flicker.figures import draw_maps, draw_phases
 from pixelid.tables.flicker.fit import OPEN_PHASE_CYCLES, FlickerFit, Group
 from pixelid.tables.flicker.noisy import LINEAR, NAMES
-from pixelid.tables.result import write_result
+from pixelid.tables.result import TableResult
 
 # a reference that fades is named when it is 10 nats likelier: e¹⁰ to one, beyond what the choice of shape can give
 MIN_MEMORY_GAIN_NATS = 10.0
 
 
-def save_flicker(fit: FlickerFit, folder: Path) -> dict:
-    """Write flicker.json, phases.svg and maps.svg into an existing folder; returns the JSON."""
+@dataclass(frozen=True, repr=False)
+class FlickerResult(TableResult):
+    """Phases of events under a flickering lamp, fitted."""
+
+    FILE: ClassVar[str] = "flicker.json"
+
+    def tables(self) -> list[Table]:
+        """Amplitude, lag and noise of the groups of pixels."""
+        rows = tuple(
+            (f"{g['column']}, {g['row']}", *(number(g[name]["value"]) for name in _OF_GROUPS)) for g in self.records()
+        )
+        return [Table("", ("group", *_OF_GROUPS.values()), rows, frozenset())]
+
+    def records(self) -> list[dict[str, Any]]:
+        """One row per group."""
+        return list(self.content["groups"])
+
+    def sentences(self) -> list[str]:
+        """Advice, what one frequency fixes, what it leaves open, and where the fit disagrees."""
+        content = self.content
+        known = [f"identified: {sentence}" for sentence in content["identified"]]
+        unknown = [f"not identified: {sentence}" for sentence in content["unidentified"]]
+        return [content["advice"], *known, *unknown, *content["disagreements"]]
+
+
+_OF_GROUPS = {
+    "amplitude_over_on_threshold": "amplitude / ON threshold", "off_over_on_threshold": "OFF / ON threshold",
+    "phase_cycles": "phase (cycles)",
+}  # fmt: skip
+
+
+def of_flicker(fit: FlickerFit) -> FlickerResult:
+    """The result of a fitted recording."""
     figures = {"phases": partial(draw_phases, fit)} | ({"maps": partial(draw_maps, fit)} if len(fit.groups) > 1 else {})
-    return write_result(flicker_result(fit), "flicker.json", figures, folder)
+    return FlickerResult(flicker_result(fit), figures)
 
 
 def flicker_result(fit: FlickerFit) -> dict:
@@ -120,7 +153,7 @@ def identified_sentences(fit: FlickerFit) -> list[str]:
 def _range(values: np.ndarray) -> str:
     """Smallest to largest of the groups' values, or the one."""
     low, high = f"{values.min():.2g}", f"{values.max():.2g}"
-    return low if len(values) == 1 else f"{low} to {high} in {len(values)} groups"
+    return low if low == high else f"{low} to {high} in {len(values)} groups"
 
 
 def open_sentences(fit: FlickerFit) -> list[str]:

@@ -7,12 +7,10 @@ proposals (`sample.ensembles.moves`); they are compared by nested R̂ (`sample.c
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pixelid.arrays import save_arrays
 from pixelid.parameters.parameter import log_prior
 from pixelid.status import Status
 from pixelid.tables.fit import FREEDOM, covariance_at
@@ -88,9 +86,9 @@ def sample_camera(
 
 
 def sample_fit(
-    fit: LatencyFit, seed: int, folder: Path, steps: int = STEPS, progress: Callable[[float], None] | None = None
-) -> dict[str, Any]:
-    """Sample every camera; writes posterior.npz, returns {"posterior": camera → intervals and convergence}.
+    fit: LatencyFit, seed: int, steps: int = STEPS, progress: Callable[[float], None] | None = None
+) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Sample every camera: intervals and convergence of each, and its chains.
 
     Nothing is drawn for a camera whose delays the fit misses by about their size: its status is `misfit`.
     """
@@ -116,9 +114,7 @@ def sample_fit(
             },
         }
         arrays[one.name] = chain.astype(np.float32)
-    if arrays:
-        save_arrays(folder / "posterior.npz", arrays)
-    return {"posterior": said}
+    return said, arrays
 
 
 def _gaussian(fit: CameraFit) -> Proposal:

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
+from pixelid.arrays import save_arrays
 from pixelid.model.fitted import fit_hash, fitted_source, implied_physical, today
 from pixelid.outputs import file_name
 from pixelid.parameters.parameter import Parameter, Prior
 from pixelid.provenance import provenance
+from pixelid.results import Table
 from pixelid.status import Status
 from pixelid.tables.fit import MAX_SCATTER, SUSPECT_SCALES, misses
 from pixelid.tables.latency.camera import Camera, camera_for, save_camera
@@ -27,7 +29,7 @@ from pixelid.tables.latency.model import EXTRA_ERROR, NUISANCES, SHARED
 from pixelid.tables.latency.reading import STATISTICS, TIMESTAMP_S, LatencyTable
 from pixelid.tables.latency.recipe import LatencyRecipe
 from pixelid.tables.latency.steps import NEVER_S
-from pixelid.tables.result import open_sentences, write_result
+from pixelid.tables.result import TableResult, open_sentences
 
 REPEATABLE = 0.02  # regions of one condition agree no better in the public table's clean rows
 MOST_SAID = 20  # spoiled cells in words; all are marked in `rows`
@@ -141,16 +143,54 @@ def _stand_ins(
     return said
 
 
-def save_fit(
-    fit: LatencyFit, folder: Path, extra: Mapping[str, Any] | None = None, recipe: LatencyRecipe | None = None
-) -> dict[str, Any]:
-    """Write latency.json, the model (one folder per camera where there are several) and figures; returns the JSON."""
-    for one in fit.fits:
-        place = folder if len(fit.fits) == 1 else _own_folder(folder, one.name)
-        place.mkdir(exist_ok=True)
-        camera = described(one, fit.table)
-        save_camera(recipe.finished(camera) if recipe else camera, place / "model.toml")
-    result = {**fitted_result(fit), **(extra or {})}
+@dataclass(frozen=True, repr=False)
+class LatencyResult(TableResult):
+    """First-event latencies against irradiance, fitted or predicted."""
+
+    FILE: ClassVar[str] = "latency.json"
+
+    def tables(self) -> list[Table]:
+        """Errors per camera and statistic, and the parameters."""
+        rows = tuple(
+            (name, statistic, str(e["rows"]), _percent(e["rms"]), _percent(e["rms_without_spoiled"]), str(e["spoiled"]))
+            for name, errors in self.content["errors"].items()
+            for statistic, e in errors.items()
+        )
+        headings = ("camera", "latency", "rows", "rms error", "rms without outliers", "outliers")
+        return [Table("", headings, rows, frozenset({"camera", "latency"})), *super().tables()]
+
+    def sentences(self) -> list[str]:
+        """Advice, and which stage limits where."""
+        return [self.content["advice"], *self.content["limiting_stages"]]
+
+
+def _percent(value: float | None) -> str:
+    return "–" if value is None else f"{100 * value:.1f} %"
+
+
+def of_fit(
+    fit: LatencyFit,
+    *,
+    seed: int = 0,
+    recipe: LatencyRecipe | None = None,
+    posterior: tuple[dict[str, Any], dict[str, np.ndarray]] | None = None,
+) -> LatencyResult:
+    """The result of a fit, with its models, one folder per camera where there are several.
+
+    posterior: of `posterior.sample_fit`: what it says, and the chains
+    """
+    cameras = [(one.name, described(one, fit.table)) for one in fit.fits]
+    chains = posterior[1] if posterior else {}
+
+    def companions(folder: Path) -> None:
+        for name, camera in cameras:
+            place = folder if len(cameras) == 1 else _own_folder(folder, name)
+            place.mkdir(exist_ok=True)
+            save_camera(recipe.finished(camera) if recipe else camera, place / "model.toml")
+        if chains:
+            save_arrays(folder / "posterior.npz", chains)
+
+    result = {**fitted_result(fit), "seed": seed, **({"posterior": posterior[0]} if posterior else {})}
     if recipe:
         result |= provenance(*fit.table.sources, recipe.path)
     unconverged = [name for name, said in result.get("posterior", {}).items() if said["status"] == Status.not_converged]
@@ -158,19 +198,18 @@ def save_fit(
         result["status"] = Status.worst([result["status"], Status.not_converged])
         said = f"{', '.join(unconverged)}: the posterior's chains have not converged"
         result["advice"] = f"{result['advice']} {said}".strip()
-    return _write(result, folder)
+    return LatencyResult(result, _figures(result), companions)
 
 
-def save_prediction(
-    table: LatencyTable, cameras: Sequence[Camera], folder: Path, *inputs: Path, seed: int = 0
-) -> dict[str, Any]:
-    """Write latency.json and figures of a prediction; returns the JSON."""
-    return _write({**predicted_result(table, cameras, *inputs), "seed": seed}, folder)
+def of_prediction(table: LatencyTable, cameras: Sequence[Camera], *inputs: Path, seed: int = 0) -> LatencyResult:
+    """The result of cameras evaluated on a table."""
+    result = {**predicted_result(table, cameras, *inputs), "seed": seed}
+    return LatencyResult(result, _figures(result))
 
 
-def _write(result: dict[str, Any], folder: Path) -> dict[str, Any]:
-    figures = {"latency": partial(draw_latency, result["rows"]), "limits": partial(draw_limits, result["limits"])}
-    return write_result(result, "latency.json", figures, folder)
+def _figures(result: Mapping[str, Any]) -> dict[str, Callable[[], Any]]:
+    """By name, functions that draw."""
+    return {"latency": partial(draw_latency, result["rows"]), "limits": partial(draw_limits, result["limits"])}
 
 
 def described(one: CameraFit, table: LatencyTable) -> Camera:

@@ -11,6 +11,7 @@ from pixelid.figures.style import INK, MUTED, OFF, ON, legend_above, new_axes, s
 from pixelid.tables.noise.model import NoiseModel
 
 ASIDE = 1.04  # by which OFF stands right of ON, which it would hide
+DENSE = 12  # lights from which a line through what is predicted is drawn
 REACH = 2.0  # of ratios; what is further out is an arrow
 
 
@@ -33,7 +34,9 @@ def draw_noise(model: NoiseModel, rows: Sequence[dict[str, Any]], axes: Any = No
             marker = "os^D"[group % 4]
             least = np.maximum(measured[here], table.last_digit[here])
             top.loglog(table.light[here], least, marker, color=colour, ms=4, label=label)
-            top.loglog(table.light[here], predicted[here], color=colour)
+            # between few lights a straight line would not be the circuit's
+            line = {} if len(here) >= DENSE else {"marker": "_", "linestyle": "none", "markersize": 14, "mew": 1.5}
+            top.loglog(table.light[here], predicted[here], color=colour, **line)
             shown = here[measured[here] > 0]
             ratio, light = measured[shown] / predicted[shown], table.light[shown] * (1.0 if on else ASIDE)
             far = ratio > REACH

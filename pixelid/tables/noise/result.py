@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from pixelid.tables.noise.intervals import mean_intervals
 from pixelid.tables.noise.measured_intervals import EDGES_S, intervals_in_words
 from pixelid.tables.noise.model import BESIDE, FA_PER_UNIT, FLOOR, OFF_BACKGROUND, NoiseModel, in_unit
 from pixelid.tables.noise.reading import NoiseTable
-from pixelid.tables.result import table_result, write_result
+from pixelid.tables.result import TableResult, table_result
 
 MODEL_FILE = "model.toml"
 NAMED = 0.15  # relative disagreement that is said in words
@@ -38,11 +38,19 @@ SCALE = "light_scale["  # beginning of the names of scales that a fit of several
 FOLDED = ("shot_noise.density", "diff_cutoff_hz", "threshold_sigma", "threshold_mismatch.sigma")
 
 
-def save_fit(fit: NoiseFit, folder: Path, seed: int) -> dict[str, Any]:
-    """Write noise.json, noise.svg and model.toml into an existing folder; returns the JSON."""
+@dataclass(frozen=True, repr=False)
+class NoiseResult(TableResult):
+    """Noise events of still scenes against light, fitted or predicted."""
+
+    FILE: ClassVar[str] = "noise.json"
+
+
+def of_fit(fit: NoiseFit, seed: int) -> NoiseResult:
+    """The result of a fit, with its model."""
     result = fitted_result(fit)
-    save_model(_truthful(fit, result, seed), folder / MODEL_FILE)
-    return write_result(result | {"seed": seed}, "noise.json", _figures(fit.fitted, result), folder)
+    model = _truthful(fit, result, seed)
+    return NoiseResult(result | {"seed": seed}, _figures(fit.fitted, result),
+                       lambda folder: save_model(model, folder / MODEL_FILE))  # fmt: skip
 
 
 def _truthful(fit: NoiseFit, result: Mapping[str, Any], seed: int) -> Model:
@@ -79,20 +87,19 @@ def fitted_result(fit: NoiseFit) -> dict[str, Any]:
     }
 
 
-def save_prediction(
+def of_prediction(
     table: NoiseTable,
     model: Model,
     beside: Mapping[str, float],
-    folder: Path,
     seed: int,
     inputs: Sequence[Path] = (),
     scales: Mapping[str, float] | None = None,
-) -> dict[str, Any]:
-    """Write noise.json and noise.svg of a model evaluated on a table; returns the JSON.  scales: `model_scales`."""
+) -> NoiseResult:
+    """The result of a model evaluated on a table.  scales: `model_scales`."""
     noise = NoiseModel(table, in_unit(model, table.unit), beside)
     result = predicted_result(noise, scales)
     result |= {"seed": seed, **provenance(*table.sources, *inputs)}
-    return write_result(result, "noise.json", _figures(noise, result), folder)
+    return NoiseResult(result, _figures(noise, result))
 
 
 def predicted_result(noise: NoiseModel, scales: Mapping[str, float] | None = None) -> dict[str, Any]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
@@ -14,9 +16,21 @@ from pixelid.tables.rates.bias_law import NO_LAW, bias_law, describes, law_sente
 from pixelid.tables.rates.figures import draw_pixel, draw_pool
 from pixelid.tables.rates.pixel import PixelFit, fit_pixel
 from pixelid.tables.rates.pool import PoolFit, fit_pool
-from pixelid.tables.result import open_sentences, table_result, write_result
+from pixelid.tables.result import TableResult, open_sentences, table_result
 
 MIN_LEAD_NATS = 5.0  # a likelihood ratio of e⁵ = 150, "very strong" (Kass & Raftery 1995, JASA 90, 773)
+
+
+@dataclass(frozen=True, repr=False)
+class RateResult(TableResult):
+    """Event rates against the frequency of a light, fitted."""
+
+    FILE: ClassVar[str] = "rates.json"
+
+    def sentences(self) -> list[str]:
+        """Advice, the law of bias where one was asked for, and cells that disagree."""
+        advice, *others = super().sentences()
+        return [advice, *self.content.get("bias_law", {}).get("sentences", []), *others]
 
 
 def pixel_result(fit: PixelFit, by_bias: bool = False) -> dict:
@@ -142,13 +156,12 @@ def pool_result(fit: PoolFit, alike: PoolFit) -> dict:
     }
 
 
-def save_pixel(fit: PixelFit, folder: Path, by_bias: bool = False) -> dict:
-    """Write rates.json and rates.svg into an existing folder; returns the JSON."""
-    return write_result(pixel_result(fit, by_bias), "rates.json", {"rates": partial(draw_pixel, fit)}, folder)
+def of_pixel(fit: PixelFit, by_bias: bool = False) -> RateResult:
+    """The result of one pixel's table."""
+    return RateResult(pixel_result(fit, by_bias), {"rates": partial(draw_pixel, fit)})
 
 
-def save_pool(fit: PoolFit, folder: Path, *inputs: Path) -> dict:
-    """Write rates.json and rates.svg into an existing folder; returns the JSON."""
+def of_pool(fit: PoolFit, *inputs: Path) -> RateResult:
+    """The result of a light's whole image."""
     alike = fit_pool(fit.table, identical=True)
-    result = {**pool_result(fit, alike), **provenance(*inputs)}
-    return write_result(result, "rates.json", {"rates": partial(draw_pool, fit, alike)}, folder)
+    return RateResult({**pool_result(fit, alike), **provenance(*inputs)}, {"rates": partial(draw_pool, fit, alike)})

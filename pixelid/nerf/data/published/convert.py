@@ -59,6 +59,12 @@ class Conversion(WrittenResult):
         """One row per kind of event."""
         return [{"events": name, "number": value} for name, value in self.content["events"].items()]
 
+    def write_companions(self, folder: Path) -> None:
+        """Draw where and when events are; the data are there."""
+        from pixelid.nerf.data.published.figures import write_figures
+
+        write_figures(self, folder)
+
 
 def convert(
     path: Path,
