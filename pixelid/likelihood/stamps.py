@@ -248,7 +248,7 @@ def _take(row, among, order, after, by, scale, change, level, sd, bent):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _smooth(order, after, usable, level, S, rate, moved, stamp, left, waits, share, earlier, reset_earlier):
-    """Put the most likely noise of stamps into `earlier`, which holds it as it is placed, and that of resets into the other."""
+    """Put the most likely noise of stamps into `earlier`, where they are placed before, and that of resets."""
     n = len(order)
     likely = np.zeros(n)
     later = 0.0  # what the event after adds
