@@ -121,8 +121,8 @@ class Carried:
         usable = (self.sd > 0.0) & (np.abs(self.level) < FAR * self.sd) & ~(terms.background | terms.at_once)
         rate, waits = terms.event.rate, -terms.changes.events.early
         _smooth(
-            self.order, self.after, usable, self.level, self.sd**2, rate, moved, stamp, self.left, waits, share, earlier,
-            reset_earlier,
+            self.order, self.after, usable, self.level, self.sd**2, rate, moved, stamp, self.left, waits, share,
+            earlier, reset_earlier,
         )  # fmt: skip
         most = np.sqrt(MOST_SHARE)
         ratio = np.clip(np.divide(moved, rate, out=np.zeros(n), where=rate > 0.0), -most, most)
