@@ -9,7 +9,7 @@ decided how light runs, under that light only.  What is found is the optimum of 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -117,7 +117,11 @@ def _at_rest(
         went, x = optimum.x - x, optimum.x
         rests = optimum.converged and went @ optimum.local.information @ went < AT_REST
         if objective is free or rests or left <= 0:
-            return objective, optimum
+            break
+    if objective.likelihood.carried is None:
+        return objective, optimum
+    objective = objective.near(x)  # so that what is held is of the optimum itself
+    return objective, replace(optimum, local=objective.local(x))
 
 
 Ends = dict[str, tuple[EventTimesObjective, Optimum]]

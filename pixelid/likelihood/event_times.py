@@ -338,7 +338,7 @@ class EventTimes:
             if rests:
                 break
         carried, share = other.shared_by_stamps(circuit, other.terms(circuit), bend=bend)
-        return other.with_stamps(carried, share, other.placed)
+        return other.with_stamps(carried, share, None if carried is None else other.placed)
 
     def shared_by_stamps(
         self,

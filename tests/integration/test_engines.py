@@ -85,7 +85,7 @@ def test_the_symbolic_form_equals_the_compiled_density_with_its_gradient(effects
     if weighed.carried is not None:
         with pytest.raises(InputError, match="jitter of stamps"):
             engine("casadi").value(EventTimesObjective(weighed, objective.coordinates), x)
-        weighed.carried = None
+        weighed = weighed.with_stamps(None, weighed.clock_share, None)
     factor = np.exp(0.02 * np.random.default_rng(1).normal(size=weighed.events))
     objective = EventTimesObjective(weighed.with_threshold_factor(factor), objective.coordinates)
     assert objective.terms(x).layout.groups > objective.terms(x).layout.pixels > 1

@@ -303,7 +303,7 @@ def test_command_on_a_simulated_recording(tmp_path, events):
     assert (out / "phases.svg").is_file()
     assert (out / "maps.svg").is_file()
     page = (out / "report.html").read_text()
-    assert page.count("<svg") == 2
+    assert page.count("<svg") == 5  # phases, maps, and intervals by kind of parameter
     assert written["unidentified"][0][:30] in page
 
 

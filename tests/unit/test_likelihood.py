@@ -374,7 +374,7 @@ def test_a_likelihood_weighed_or_with_factors_is_another_one():
     assert weighed.threshold_factor is None
     assert raised.log_likelihood(circuit) != weighed.log_likelihood(circuit)
     assert raised.with_threshold_factor(None).log_likelihood(circuit) == weighed.log_likelihood(circuit)
-    assert raised.evaluators is likelihood.evaluators
+    assert raised.evaluators is weighed.evaluators
     assert likelihood.log_likelihood(circuit) == before
     with pytest.raises(ValueError, match="read-only"):
         likelihood.layout.sign[0] = 0.0
