@@ -30,7 +30,9 @@ WORTH_A_PART = 4  # times as many events, from which the part costs less than th
 # Nats.  The log ratio of two likelihoods close to each other varies by twice its mean: 20 are three standard deviations
 # away from the other sign, and all events, of which the part is at most a quarter, say the same with more.
 DECIDED_NATS = 20.0
-MOST_STEPS, A_TURN = 120, 12  # of a search, and of what is held as at one point
+TURNS = 10  # at most, each with what is held as at one point
+STEPS = 60  # of a turn, at most
+FEW_STEPS = 12  # of one whose levels share the noise of stamps: what is held is known near the point only
 AT_REST = 0.01  # what a turn may still move the optimum by: squared, in standard errors
 ROUGHLY = 1e-2  # nats, of optima that decide how light runs
 
@@ -106,19 +108,18 @@ def _at_rest(
 ) -> tuple[EventTimesObjective, Optimum]:
     """The optimum from a point near it, with what stamps and gains add held where it is.
 
-    What is held is known about the point that it was taken at: a turn ends after `A_TURN` steps, and it is taken again.
+    Args:
+        settings: Of the engine, in addition to how many steps it may take.
     """
-    left = MOST_STEPS
-    while True:
+    for _ in range(TURNS):
         free, objective = objective, objective.near(x)
-        steps = min(A_TURN, left) if objective.likelihood.carried is not None else left
-        optimum = maximiser.maximise(objective, x, max_steps=steps, **settings)
-        left -= A_TURN
+        shares = objective.likelihood.carried is not None
+        optimum = maximiser.maximise(objective, x, max_steps=FEW_STEPS if shares else STEPS, **settings)
         went, x = optimum.x - x, optimum.x
         rests = optimum.converged and went @ optimum.local.information @ went < AT_REST
-        if objective is free or rests or left <= 0:
+        if objective is free or rests or not (shares or optimum.converged):
             break
-    if objective.likelihood.carried is None:
+    if not shares:
         return objective, optimum
     objective = objective.near(x)  # so that what is held is of the optimum itself
     return objective, replace(optimum, local=objective.local(x))

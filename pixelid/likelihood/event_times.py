@@ -35,10 +35,8 @@ UNEVEN = 0.03  # ln light, about what a field differs by: where the changes of a
 NUDGE_S = 1e-7  # of the release, to find how a level depends on it: 1e-3 of a dead time, 1e7 times a float's rounding
 MOST_REMEMBERED = 4_000_000  # samples of light in sections whose trajectories are remembered: 0.3 GB
 SAME = (1e-3, 1e-2, 5e-2)  # of an interval: equal to a stamp's jitter; stamps of a foreign clock may be blurred more
-PLACINGS, FULL_STEPS = (
-    8,
-    3,
-)  # at most, of events where they most likely happened; then half steps, for one that goes to and fro
+PLACINGS = 8  # at most, of events where they most likely happened
+FULL_STEPS = 3  # of them; then half steps, for an event that goes to and fro
 LARGE = 60_000  # samples and events, a few milliseconds of work, from which handing it to other threads pays
 
 
@@ -360,7 +358,7 @@ class EventTimes:
         if levels is not None:
             carried = replace(carried, level=levels)
         stamp = here.event.clock
-        bend = bend or self._bend(circuit, float(np.sqrt(stamp.max())))
+        bend = bend or self._bend(circuit, here, float(np.sqrt(stamp.max())))
         return carried.with_bend(here, moved, stamp, bend, self.placed), share
 
     def _carried_over(
@@ -370,7 +368,7 @@ class EventTimes:
         growth = 1.0 + circuit.threshold_drift * self.time_s
         scale = self.sign / (growth * memory_factor(circuit.polarity_memory, self.layout.alike))
         previous_s = np.concatenate([intervals.previous_s for intervals in self.intervals])
-        moved = self.moved_by_release(circuit)
+        moved = self.moved_by_release(circuit, here)
         return *carried_over(here, moved, here.event.clock, scale, previous_s, added), moved
 
     def with_single_stamps(self) -> EventTimes:
@@ -389,25 +387,25 @@ class EventTimes:
             )
         return other
 
-    def _where_placed(self) -> EventTimes:
-        """The same likelihood with levels where events are placed, not carried on to their stamps."""
+    def _where_placed(self, circuit: Circuit, here: Terms) -> tuple[EventTimes, Terms]:
+        """The same likelihood with levels where events are placed, not carried on to their stamps, and its pieces."""
         if self.placed is None:
-            return self
-        return self.with_stamps(self.carried, self.clock_share, self.placed.not_carried_on())
+            return self, here
+        plain = self.with_stamps(self.carried, self.clock_share, self.placed.not_carried_on())
+        return plain, plain.terms(circuit)
 
-    def moved_by_release(self, circuit: Circuit) -> np.ndarray:
-        """(n,) by how much levels rise, per second by which pixels are let go later, where events are placed."""
-        plain = self._where_placed()
-        here = plain.terms(circuit)
+    def moved_by_release(self, circuit: Circuit, here: Terms) -> np.ndarray:
+        """(n,) by how much levels rise, per second by which pixels are let go later, where events are placed;
+        here: `terms(circuit)`."""
+        plain, here = self._where_placed(circuit, here)
         there = plain.released_later(circuit, here)
         known = (here.z != 0.0) & (there.z != 0.0)  # a level of 0: the circuit cannot have fired
         return np.where(known, there.z - here.z, 0.0) / NUDGE_S
 
-    def _bend(self, circuit: Circuit, within_s: float) -> Bend:
+    def _bend(self, circuit: Circuit, here: Terms, within_s: float) -> Bend:
         """Second derivatives of levels by the times of events and resets, from levels so many seconds further and back,
-        where events are placed."""
-        plain = self._where_placed()
-        here = plain.terms(circuit)
+        where events are placed;  here: `terms(circuit)`."""
+        plain, here = self._where_placed(circuit, here)
 
         def at(other: Circuit) -> Terms:
             return plain.terms(other, plain.changes(other, here.changes))

@@ -324,7 +324,7 @@ def _chains(likelihood: EventTimes, circuit: Circuit, every: bool, seed: int) ->
     likelihood = likelihood.with_single_stamps()
     terms = likelihood.terms(circuit)
     y, rate = terms.z - terms.group_mean[likelihood.group], terms.event.rate
-    moved = likelihood.moved_by_release(circuit)
+    moved = likelihood.moved_by_release(circuit, terms)
     stamp = terms.event.clock - circuit.jitter**2
     variance = np.maximum(terms.scale**2 - rate**2 * terms.event.clock, 0.0)
     usable = ~(terms.background | terms.at_once) & (np.abs(y) < OUTLIER * terms.scale)

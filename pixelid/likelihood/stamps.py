@@ -269,9 +269,8 @@ def _smooth(order, after, usable, level, S, rate, moved, stamp, left, waits, sha
         if not after[k]:
             went = 0.0
         placed = earlier[k]
-        to = (
-            placed + share * (likely[k] - placed) if usable[k] else placed
-        )  # what lies far off, here or there, would go to and fro
+        # what lies far off, where it is placed or elsewhere, would go to and fro
+        to = placed + share * (likely[k] - placed) if usable[k] else placed
         if waits[k] > 0.0:
             to = min(to, placed + went + CLOSER * waits[k])
         reset_earlier[k] = earlier[order[i - 1]] if after[k] else 0.0

@@ -192,11 +192,11 @@ def _with_light(recording: Recording, light: Light, alignment: Alignment, outsid
     """The recording with the light on its new clock, and with how that was found."""
     zero_ns, _, _ = _span_ns(recording, light, alignment)
     rate, offset_s = 1.0 + alignment.rate_error, alignment.offset_s - zero_ns * 1e-9
-    told = {**alignment.as_dict(), "zero_ns": zero_ns, "events_outside": outside}
+    written = {**alignment.as_dict(), "zero_ns": zero_ns, "events_outside": outside}
     if alignment.prior is not None:
         at_s = offset_s + rate * alignment.prior.at_s
-        told["prior"] = asdict(replace(alignment.prior, at_s=at_s, span_s=rate * alignment.prior.span_s))
-    attributes = {**recording.attributes, "alignment": told}
+        written["prior"] = asdict(replace(alignment.prior, at_s=at_s, span_s=rate * alignment.prior.span_s))
+    attributes = {**recording.attributes, "alignment": written}
     if ATTRIBUTE in attributes:
         attributes[ATTRIBUTE] = asdict(kept_of(recording).shifted(zero_ns * 1e-9))
     return replace(recording, stimulus=light.shifted(offset_s, rate), attributes=attributes)

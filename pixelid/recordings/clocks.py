@@ -71,18 +71,18 @@ def clock_of(recording: Recording) -> AlignedClock | None:
     Raises:
         InputError: numbers missing or impossible in it.
     """
-    told = recording.attributes.get("alignment")
-    if not isinstance(told, Mapping):  # nothing, or words that somebody else put there
+    written = recording.attributes.get("alignment")
+    if not isinstance(written, Mapping):  # nothing, or words that somebody else put there
         return None
     where = f"{recording.source or recording.name}: alignment"
-    method, interval = told.get("method"), told.get("offset_interval_95")
+    method, interval = written.get("method"), written.get("offset_interval_95")
     if method not in ESTIMATED or interval is None:
         return None
     if not isinstance(interval, Sequence) or len(interval) != 2 or not all(map(is_number, interval)):
         raise InputError(f"{where}: offset_interval_95: expected two numbers, found {str(interval)[:40]!r}")
     half_s = 0.5 * abs(float(interval[1]) - float(interval[0]))
-    offset_s, rate_error = (_number(told, name, where) for name in ("offset_s", "clock_rate_error"))
-    prior, light = told.get("prior"), recording.stimulus
+    offset_s, rate_error = (_number(written, name, where) for name in ("offset_s", "clock_rate_error"))
+    prior, light = written.get("prior"), recording.stimulus
     if prior is None and light is not None:  # files from before it was written
         middle = 0.5 * (light.start_s + light.end_s)
         prior = asdict(ClockPrior(middle, light.duration_s, None, 0.0, CRYSTAL))

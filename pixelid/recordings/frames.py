@@ -78,13 +78,13 @@ def with_frames(recording: Recording, dark: float = 0.0) -> Recording:
         raise InputError(f"{path}: frames: expected {events.width} x {events.height} pixels, as of the events")
     levels = np.maximum(levels.reshape(len(levels), -1), NOTHING).astype(np.float32)
     lowest, highest = levels.min(axis=0), levels.max(axis=0)
-    told = np.flatnonzero((lowest - dark >= LEAST_ABOVE_DARK) & (highest < shown["full"]))
-    if not len(told):
+    lit = np.flatnonzero((lowest - dark >= LEAST_ABOVE_DARK) & (highest < shown["full"]))
+    if not len(lit):
         raise InputError(f"{path}: frames: every pixel clips or is as dark as {dark:g} in some frame")
     seconds = 1e-6 * (edges[:, 1] - edges[:, 0])
-    lights = (levels[:, told] - dark) / seconds[:, None]
+    lights = (levels[:, lit] - dark) / seconds[:, None]
     of_pixel = np.full(levels.shape[1], UNKNOWN, np.int32)
-    of_pixel[told] = np.arange(len(told))
+    of_pixel[lit] = np.arange(len(lit))
     middle, zero_ns = 0.5e-6 * (edges.sum(axis=1) - edges[0].sum()), 500 * int(edges[0].sum())
     since = events.t - zero_ns
     inside = (since >= 0) & (since <= middle[-1] * 1e9) & (of_pixel[events.pixel] != UNKNOWN)
