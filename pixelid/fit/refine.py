@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -104,7 +105,7 @@ def refine(
 
 
 def _at_rest(
-    objective: EventTimesObjective, x: np.ndarray, maximiser: Engine, **settings: float
+    objective: EventTimesObjective, x: np.ndarray, maximiser: Engine, **settings: Any
 ) -> tuple[EventTimesObjective, Optimum]:
     """The optimum from a point near it, with what stamps and gains add held where it is.
 
