@@ -88,12 +88,12 @@ def ridge_of_stamps(objective: EventTimesObjective, optimum: Optimum) -> Ridge |
 
 
 def _profile_curvature(points: dict[float, tuple[float, np.ndarray]], best: float) -> float:
-    """Of the parabola about the maximum that fits a profile's points."""
-    moves = np.array(sorted(points))
-    values = np.array([points[move][0] for move in moves])
-    weights = np.exp(-(values.max() - values))  # points far down are not of the parabola
-    rows = np.stack([np.ones(len(moves)), -0.5 * (moves - best) ** 2], axis=1)
-    return max(float(np.linalg.lstsq(rows * weights[:, None], values * weights, rcond=None)[0][1]), 1e-12)
+    """Of the parabola with its vertex at the maximum that fits a profile's points; a flat top widens it."""
+    moves = np.array(sorted(points)) - best
+    values = np.array([points[move][0] for move in sorted(points)])
+    fallen = values.max() - values
+    squares, weights = moves**2, np.exp(-fallen)  # points far down are not of the parabola
+    return max(float(2.0 * (weights * squares) @ fallen / ((weights * squares) @ squares)), 1e-12)
 
 
 def _leads(objective: EventTimesObjective, x: np.ndarray, covariance: np.ndarray, bend: Bend | None) -> int | None:
