@@ -19,7 +19,6 @@ from pixelid.fit.engines import Engine
 from pixelid.fit.event_times import EventTimesObjective
 from pixelid.fit.newton import Optimum
 from pixelid.fit.open_coordinates import beyond_plateaus
-from pixelid.fit.ridge_of_stamps import Ridge, ridge_of_stamps
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.recordings.own_light import with_fine_light
 from pixelid.recordings.recording import Recording
@@ -46,14 +45,12 @@ class Refined:
     optimum: of it
     between: "linear" or "smooth"
     details: what decided it, as results show it
-    ridge: along which what is held misleads, where there is one
     """
 
     objective: EventTimesObjective
     optimum: Optimum
     between: str
     details: dict[str, float]
-    ridge: Ridge | None = None
 
 
 def refine(
@@ -97,11 +94,8 @@ def refine(
     better = beyond_plateaus(objective, optimum)
     if better is not None:
         objective, optimum = _at_rest(objective, better.x, maximiser)
-    ridge = ridge_of_stamps(objective, optimum)
-    if ridge is not None:
-        objective, optimum = ridge.objective, ridge.optimum
     report(1.0)
-    return Refined(objective, optimum, between, details, ridge)
+    return Refined(objective, optimum, between, details)
 
 
 def _at_rest(

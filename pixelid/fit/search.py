@@ -21,7 +21,7 @@ from pixelid.fit.light_unit import in_recorded_unit
 from pixelid.fit.newton import Optimum
 from pixelid.fit.newton import maximise as newton_steps
 from pixelid.fit.refine import BETWEEN, refine
-from pixelid.fit.ridge_of_stamps import Ridge
+from pixelid.fit.ridge_of_stamps import Ridge, ridge_of_stamps
 from pixelid.fit.shot_noise import EFFECT, HeldBench, fit_under_shot_noise, without_density
 from pixelid.fit.starts import feasible, narrower, random_starts
 from pixelid.likelihood.event_times import EventTimes
@@ -136,7 +136,11 @@ def search_event_times(
             recordings, coordinates, best.x, kinds, settings.engine, rng,
             lambda share: report("refining", 0.5 + 0.4 * share),
         )  # fmt: skip
-        objective, optimum, ridge = refined.objective, refined.optimum, refined.ridge
+        objective, optimum = refined.objective, refined.optimum
+        # under shot noise the likelihood is another, with an optimum and a ridge of its own
+        ridge = None if EFFECT in model.effects else ridge_of_stamps(objective, optimum)
+        if ridge is not None:
+            objective, optimum = ridge.objective, ridge.optimum
         details = {"stimulus_between_samples": refined.between, **refined.details}
     else:  # without levels the optimum of all events is far off, and it is not known how light runs between its samples
         report("gain and background of pixels", 0.5)
