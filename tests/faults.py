@@ -55,6 +55,8 @@ COMMANDS = {  # name → words; {out} is the result
     "convert to .npz": "convert chirp.h5 {out}.npz",
     "convert to .csv": "convert chirp.h5 {out}.csv",
     "inspect": "inspect chirp.h5 --out {out}",
+    "check": "check bench --out {out} --pixels 4",
+    "calibrate": "calibrate bench --out {out} --pixels 4",
     "export": "export dvs128 --to v2e --out {out}.json",
     "lowlight": "lowlight dvs128 --out {out}",
     "noise": "noise noise.csv --out {out} --predict --model dvs128",
@@ -77,8 +79,8 @@ LONGER = COMMANDS | {
     "reconstruct": SCENE + " --steps 300",
     "sensor": COMMANDS["sensor"].replace("none", "sf_cutoff_hz"),
 }
-KILLED = ("convert to .h5", "sensor", "fit --sample", "gap", "reconstruct")
-INTERRUPTED = ("fit", "fit --sample", "gap", "sensor", "reconstruct", "convert to .h5", "simulate", "design", "rates")
+KILLED = ("convert to .h5", "sensor", "fit --sample", "gap", "reconstruct", "calibrate")
+INTERRUPTED = ("fit", "fit --sample", "gap", "calibrate", "sensor", "reconstruct", "convert to .h5", "simulate", "design", "rates")
 NOISE = "lux,ON_events_per_s_per_px,OFF_events_per_s_per_px\n1,2.5,0.1\n10,0.5,0.05\n100,0.125,0.02\n1000,0.1,0.01\n"
 RATES = "freq_hz,slow,fast\n1,70,80\n5,200,300\n10,300,500\n50,100.5,200\n100,20,80\n200,3,30\n"
 LATENCY = "camera,lens,polarity,irradiance_W_m2,bias_config,median,stdev,pixels\nCAM3,f2,1,0.05,0,210,3,100\n"
@@ -95,6 +97,10 @@ def prepare(folder: Path) -> None:
     for name, text in (("noise", NOISE), ("rates", RATES), ("latency", LATENCY)):
         (folder / f"{name}.csv").write_text(text)
     (folder / "menu.toml").write_text(MENU)
+    bench = folder / "bench"
+    bench.mkdir()
+    for source in (Path(__file__).resolve().parents[1] / "pixelid" / "demo" / "bench").glob("steps_*"):
+        shutil.copy(source, bench)
     made = make_dataset(folder / "hard", "hard", seed=3, side=published.SIDE, revolutions=1.0, frames_per_turn=300)
     published.write_eds(folder / "eds", published.as_simulated(made))
     (folder / "mains.toml").write_text('[stimulus]\nkind = "sine"\nfrequency_hz = 100.0\nduration_s = 1.3\n')

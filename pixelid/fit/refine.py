@@ -111,7 +111,7 @@ def _at_rest(
         shares = objective.likelihood.carried is not None
         optimum = maximiser.maximise(objective, x, max_steps=FEW_STEPS if shares else STEPS, **settings)
         went, x = optimum.x - x, optimum.x
-        rests = optimum.converged and went @ optimum.local.information @ went < AT_REST
+        rests = went @ optimum.local.information @ went < AT_REST
         if objective is free or rests or not (shares or optimum.converged):
             break
     if not shares:
