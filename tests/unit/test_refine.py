@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,8 @@ from pixelid.fit import refine as refining
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.engines import engine
 from pixelid.fit.event_times import EventTimesObjective
-from pixelid.fit.objective import Objective
+from pixelid.fit.newton import Optimum
+from pixelid.fit.objective import Local, Objective
 from pixelid.fit.refine import BETWEEN, refine
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
@@ -69,6 +71,34 @@ def test_a_part_first_ends_at_the_optimum_of_all(session, monkeypatch):
     moved = from_part.optimum.x - whole.optimum.x
     assert moved @ whole.optimum.local.information @ moved < 1e-5  # each end is within 1e-6 nats of the top: 8e-6
     assert from_part.optimum.local.value == pytest.approx(whole.optimum.local.value, abs=1e-4)
+
+
+def test_a_turn_that_leads_nowhere_is_the_last():
+    """A search at a corner of the likelihood promises more than it finds: each further turn was the same one again."""
+
+    class Corner:
+        """An objective whose levels share the noise of stamps, held anew wherever it is asked to."""
+
+        likelihood = SimpleNamespace(carried=object())
+        held = 0
+
+        def near(self, x):
+            Corner.held += 1
+            return Corner()
+
+        def local(self, x):
+            return Local(0.0, np.ones(1), np.eye(1))
+
+    class Stuck:
+        turns = 0
+
+        def maximise(self, objective, x, *, max_steps):
+            self.turns += 1
+            return Optimum(x, objective.local(x), False, np.zeros(1, bool), max_steps)
+
+    engine = Stuck()
+    _, optimum = refining._at_rest(Corner(), np.zeros(1), engine)
+    assert (engine.turns, Corner.held, optimum.converged) == (1, 2, False)
 
 
 def test_a_part_that_does_not_decide_leaves_it_to_all_events(session, monkeypatch):
