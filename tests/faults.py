@@ -55,7 +55,7 @@ COMMANDS = {  # name → words; {out} is the result
     "convert to .npz": "convert chirp.h5 {out}.npz",
     "convert to .csv": "convert chirp.h5 {out}.csv",
     "inspect": "inspect chirp.h5 --out {out}",
-    "check": "check bench --out {out} --pixels 4",
+    "check": "check bench",
     "calibrate": "calibrate bench --out {out} --pixels 4",
     "export": "export dvs128 --to v2e --out {out}.json",
     "lowlight": "lowlight dvs128 --out {out}",
