@@ -140,10 +140,14 @@ def legend_above(axes: Any, columns: int = 4, title: str = "") -> None:
     for axis in np.ravel(np.asarray(axes, dtype=object)):
         for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
             named.setdefault(label, handle)
-    if named:
-        _figure_of(axes).legend(
+    figure, width = _figure_of(axes), np.inf
+    while named and columns and width > figure.bbox.width:  # as many labels in a row as the figure is wide
+        for drawn in list(figure.legends):
+            drawn.remove()
+        legend = figure.legend(
             named.values(), named, loc="outside upper left", ncols=columns, title=title or None, alignment="left"
         )
+        width, columns = legend.get_window_extent().width, columns - 1
 
 
 def series_colours(count: int) -> list[Any]:

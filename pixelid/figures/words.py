@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import textwrap
+from collections.abc import Mapping
+from typing import Any
 
 _WORDS = {
     "alpha": "α", "beta": "β", "gamma": "γ", "sf_cutoff_hz": "source follower's cutoff",
@@ -51,6 +53,24 @@ def with_unit(parameter: str, unit: str) -> str:
     """
     unit = _UNITS.get(unit, unit)
     return f"{in_words(parameter)} ({unit})" if unit else in_words(parameter)
+
+
+def light_unit(parameters: Mapping[str, Mapping[str, Any]]) -> str:
+    """The unit of the light, as that of γ or of the corner has it; "" where neither is there."""
+    entry = parameters.get("gamma") or parameters.get("alpha_over_beta") or {}
+    return str(entry.get("unit", "")).rpartition("/s/")[2]
+
+
+def stimulus(name: str, parameters: Mapping[str, Any], light: str) -> str:
+    """A stimulus of a menu in words, with its level in the unit of the light.
+
+    >>> stimulus("long_chirp_390", {"level": 390.0}, "fA"), stimulus("chirp", {}, "fA")
+    ('long chirp at 390 fA', 'chirp')
+    """
+    kind, _, level = name.rpartition("_")
+    if level and level == f"{parameters.get('level', 0.0):g}":
+        return f"{kind} at {level} {light}".replace("_", " ").strip()
+    return name.replace("_", " ")
 
 
 def seconds(time_s: float, digits: int = 3) -> str:

@@ -13,7 +13,7 @@ from pixelid.report.circuit import STATUS_LINES, circuit_alone, circuit_parts, s
 from pixelid.report.format import count, counted, in_its_unit, interval, number, percent, seconds, value
 from pixelid.report.methods import methods_of_fit
 from pixelid.report.page import Number, Result, Summary, command_line, folder_name, identified, inputs_of
-from pixelid.report.quantities import name_of, quantities
+from pixelid.report.quantities import name_of, quantities, with_index
 
 USABLE = {"converged": "Usable", "not_identified": "Usable in part"}
 LACKING = ("converged", "misfit", "not_converged")  # after which a search for what is missing comes next
@@ -90,14 +90,15 @@ def levels_of(result: Result) -> dict[str, list[list[str]]] | None:
     return {"scales": scales, "camera": camera}
 
 
-def _physical(result: Result) -> list[list[str]]:
+def _physical(result: Result) -> list[list[Any]]:
     """Circuit values with intervals and units; which of them the gauge states."""
     stated, ends = result["gauge"]["fixed"], result.get("physical_intervals_95") or {}
     rows = []
     for name, v in (result.get("physical") or {}).items():
         shown = in_its_unit({"value": v, "interval_95": ends.get(name), "unit": PHYSICAL_UNITS.get(name, "")})
         said = f"assumed: {stated[name]}" if isinstance(stated.get(name), float | int) else shown.interval
-        rows.append([name.replace("_", " "), PHYSICAL_WORDS.get(name, ""), shown.value, said, shown.unit])
+        symbol = "" if name == "radiance_scale" else with_index(name)
+        rows.append([symbol, PHYSICAL_WORDS.get(name, ""), shown.value, said, shown.unit])
     return rows
 
 

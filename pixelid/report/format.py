@@ -13,6 +13,7 @@ from pixelid.figures import words
 SMALLEST_CHANCE = 1e-15  # what arithmetic of doubles can tell from nothing
 _NAMES = ("alpha", "beta", "gamma", "leak")  # of parameters and effects: never capitals
 _POWER = re.compile(r"(?<![\w.])(-?\d+(?:\.\d+)?)e([+-]\d+)\b")
+_NO_CHANCE = re.compile(r"\bp = 0(?![.\d])")  # a probability that doubles cannot hold
 _THIN = "\N{NARROW NO-BREAK SPACE}"
 
 
@@ -127,8 +128,10 @@ def sentence(text: object, capital: bool = True) -> str:
     'Between 1280 and 2 × 10⁻⁶ Hz.'
     >>> sentence("alpha stays open")
     'alpha stays open.'
+    >>> sentence("an effect is missing (p = 0)")
+    'An effect is missing (p < 10⁻¹⁵).'
     """
-    said = with_powers(str(text).strip())
+    said = _NO_CHANCE.sub(f"p {chance(0.0)}", with_powers(str(text).strip()))
     first = re.match(r"[a-z]+(?=[\s,:;-]|$)", said)
     if capital and first and first[0] not in _NAMES:
         said = said[:1].upper() + said[1:]

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
+
+from markupsafe import Markup, escape
 
 from pixelid.errors import InputError
 from pixelid.figures.words import SYMBOLS, UNIT, in_words
@@ -56,6 +59,22 @@ class Quantity:
         """Symbol and name as plain text."""
         letters = "".join(self.symbol) if not self.symbol[1] else "_".join(self.symbol)
         return f"{letters}, {self.name}" if letters and letters != self.name else self.name
+
+    @property
+    def markup(self) -> Markup:
+        """Symbol and name as HTML."""
+        if self.symbol[0] in ("", self.name):
+            return escape(self.name)
+        return Markup("<i>{}</i> {}").format(with_index("_".join(filter(None, self.symbol))), self.name)
+
+
+def with_index(text: str) -> Markup:
+    """A formula as HTML: what follows an underscore lowered, tau as τ.
+
+    >>> str(with_index("0.7 A_amp")), str(with_index("tau_out"))
+    ('0.7 A<sub>amp</sub>', 'τ<sub>out</sub>')
+    """
+    return Markup(re.sub(r"(?<=\w)_(\w+)", r"<sub>\1</sub>", str(escape(text.replace("tau_", "τ_")))))
 
 
 def quantity(parameter: str, entry: Mapping[str, Any]) -> Quantity:

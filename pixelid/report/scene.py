@@ -27,8 +27,7 @@ def summarise(result: Result, folder: Path) -> Summary:
     views, own = result["views"], shlex.quote(folder_name(folder))
     return Summary(
         "reconstruct",
-        "Scene reconstructed"
-        + (f": {_places(views['psnr'], 1)} dB on test views" if views["psnr"] is not None else ""),
+        _answer(result),
         result["status"],
         result.get("advice", ""),
         (
@@ -56,6 +55,15 @@ def summarise(result: Result, folder: Path) -> Summary:
             (FLY, f"pixelid view {own} --out {own}.html"),
         ),
     )
+
+
+def _answer(result: Result) -> str:
+    """How sharp the scene is, and how much of the events it leaves unexplained."""
+    psnr, left = result["views"]["psnr"], result["held_out_residual"]
+    said = [f"{_places(psnr, 1)} dB on test views"] if psnr is not None else []
+    said += [f"{percent(left)} of changes unexplained"] if left is not None else []
+    kind = "Scene reconstructed" if result["status"] == "converged" else "Scene not reliable"
+    return f"{kind}: {', '.join(said)}" if said else kind
 
 
 def prepare(result: Result, folder: Path) -> dict[str, Any]:
