@@ -10,7 +10,7 @@ from typing import Any
 from pixelid.documents import is_number
 from pixelid.figures.words import in_words
 from pixelid.nerf.options import LEAST_SHARE
-from pixelid.report.format import count, counted, number, percent, seconds
+from pixelid.report.format import count, counted, in_its_unit, number, percent, seconds
 from pixelid.report.page import Number, Result, Summary, command_line, folder_name, inputs_of
 from pixelid.report.scripts import script
 
@@ -72,6 +72,13 @@ def prepare(result: Result, folder: Path) -> dict[str, Any]:
             return ", ".join(number(x) for x in v)
         return number(v) if is_number(v) else str("–" if v is None else v)
 
+    def cell_with_unit(name: str, v: Any) -> tuple[str, str]:
+        unit = PIXEL_UNITS.get(name, "")
+        if unit == "s" and is_number(v):
+            shown = in_its_unit({"value": v, "interval_95": None, "unit": unit})
+            return shown.value, shown.unit
+        return cell(v / math.tau if name in CUTOFFS and is_number(v) else v), unit
+
     def row(name: str, v: dict) -> list[str]:
         measures = [_places(v["psnr"], 2), _places(v["ssim"], 3)]
         return [name, *measures, *([number(v["lpips"], 3)] if lpips else [])]
@@ -89,8 +96,7 @@ def prepare(result: Result, folder: Path) -> dict[str, Any]:
         "pixel": [
             [
                 in_words(CUTOFFS.get(name, str(name))),
-                cell(v / math.tau if name in CUTOFFS and is_number(v) else v),
-                PIXEL_UNITS.get(name, ""),
+                *cell_with_unit(name, v),
             ]
             for name, v in result["pixel"].items()
         ],
