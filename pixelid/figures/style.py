@@ -44,6 +44,8 @@ STYLE = {
     "svg.fonttype": "none", "svg.hashsalt": "pixelid", "savefig.dpi": 150.0,
 }  # fmt: skip
 
+LEAST_PLAIN, MOST_PLAIN = 1e-3, 1e5  # of ticks that are written without powers of ten
+
 _CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ufffe\uffff]")
 Arguments = ParamSpec("Arguments")
 Drawn = TypeVar("Drawn")
@@ -73,12 +75,18 @@ def _figure_of(axes: Any) -> Any:
 
 
 def _write_powers_plainly(axes: Any) -> None:
-    """Ticks of logarithmic axes as 10⁻³ instead of mathematical markup: names with a $ in them are just names."""
+    """Ticks of logarithmic axes as 10⁻³ instead of mathematical markup; as 200 where they span less than two decades.
+
+    Names with a $ in them are just names.
+    """
     from matplotlib.ticker import LogFormatterSciNotation
 
     class Plain(LogFormatterSciNotation):
         def __call__(self, x, pos=None):  # pyright: ignore[reportIncompatibleMethodOverride]
             text = re.sub(r"[${}]|\\mathdefault", "", super().__call__(x, pos)).replace(r"\times", " × ")
+            low, high = (abs(end) for end in self.axis.get_view_interval())
+            if text and LEAST_PLAIN <= x < MOST_PLAIN and 0.0 < low < high < 100.0 * low:
+                return f"{x:g}"
             mantissa, power, exponent = text.partition("^")
             return mantissa + exponent.translate(SUPERSCRIPT) if power else text
 

@@ -28,10 +28,13 @@ NAMES = {
     "sf_cutoff_hz": "cutoff frequency", "diff_cutoff_hz": "cutoff frequency", "on_threshold": "ON threshold",
     "off_threshold": "OFF threshold", "threshold_sigma": "threshold noise",
     "threshold_mismatch.sigma": "threshold mismatch", "refractory_s": "dead time",
+    "off_background.rate_hz": "OFF background", "led_off_fraction": "light of the LED when off",
+    "on_delay_s": "ON delay", "off_delay_s": "OFF delay", "delay_sigma": "spread of delays",
+    "lens_factor": "transmission of the lens",
 }  # fmt: skip
 SHARES = ("threshold_sigma", "threshold_mismatch.sigma", "lost_events.fraction", "mains_flicker.modulation")
 # Events per second are no frequency.
-RATES = ("leak.rate_hz", "hot_pixels.rate_hz", "parasitic_photocurrent.rate_hz_per_radiance")
+RATES = ("leak.rate_hz", "off_background.rate_hz", "hot_pixels.rate_hz", "parasitic_photocurrent.rate_hz_per_radiance")
 KILOHERTZ = 1e4  # from which on a frequency is written in kHz: four digits suffice below
 
 
@@ -63,7 +66,7 @@ class Quantity:
     @property
     def markup(self) -> Markup:
         """Symbol and name as HTML."""
-        if self.symbol[0] in ("", self.name):
+        if self.symbol[0] in ("", self.name.partition(",")[0]):
             return escape(self.name)
         return Markup("<i>{}</i> {}").format(with_index("_".join(filter(None, self.symbol))), self.name)
 
