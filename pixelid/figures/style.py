@@ -79,7 +79,7 @@ def _write_powers_plainly(axes: Any) -> None:
 
     Names with a $ in them are just names.
     """
-    from matplotlib.ticker import LogFormatterSciNotation
+    from matplotlib.ticker import LogFormatterSciNotation, NullFormatter
 
     class Plain(LogFormatterSciNotation):
         def __call__(self, x, pos=None):  # pyright: ignore[reportIncompatibleMethodOverride]
@@ -92,7 +92,7 @@ def _write_powers_plainly(axes: Any) -> None:
 
     for axis in _figure_of(axes).axes:
         for side in (axis.xaxis, axis.yaxis):
-            if side.get_scale() in ("log", "symlog"):
+            if side.get_scale() in ("log", "symlog") and not isinstance(side.get_major_formatter(), NullFormatter):
                 linear = getattr(side.get_transform(), "linthresh", None)
                 side.set_major_formatter(Plain(linthresh=linear))
                 if side.get_scale() == "log":

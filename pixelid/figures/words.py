@@ -11,6 +11,7 @@ _WORDS = {
     "alpha": "α", "beta": "β", "gamma": "γ", "sf_cutoff_hz": "source follower's cutoff",
     "diff_cutoff_hz": "differencing amplifier's cutoff", "on_threshold": "ON threshold",
     "off_threshold": "OFF threshold", "threshold_sigma": "threshold noise", "refractory_s": "dead time",
+    "threshold_mismatch.sigma": "threshold mismatch",
     "delay_s": "delay",
 }  # fmt: skip
 SYMBOLS = {  # (letter, index)
@@ -29,7 +30,7 @@ def in_words(parameter: str) -> str:
     """A parameter's name in words.
 
     >>> in_words("on_threshold"), in_words("threshold_mismatch.sigma")
-    ('ON threshold', 'threshold mismatch, sigma')
+    ('ON threshold', 'threshold mismatch')
     """
     return _WORDS.get(parameter, parameter.replace(".", ", ").replace("_", " "))
 
@@ -71,6 +72,17 @@ def stimulus(name: str, parameters: Mapping[str, Any], light: str) -> str:
     if level and level == f"{parameters.get('level', 0.0):g}":
         return f"{kind} at {level} {light}".replace("_", " ").strip()
     return name.replace("_", " ")
+
+
+def in_short_unit(value: float, unit: str) -> tuple[float, str]:
+    """(scale, unit) in which a value is written: short times in milli- or microseconds, no unit for a ratio.
+
+    >>> in_short_unit(2.1e-4, "s"), in_short_unit(0.3, "log radiance"), in_short_unit(12.0, "Hz")
+    ((1e-06, 'µs'), (1.0, 'log radiance'), (1.0, 'Hz'))
+    """
+    if unit == "s" and value:
+        return next(((s, u) for s, u in ((1.0, "s"), (1e-3, "ms")) if abs(value) >= s), (1e-6, "µs"))
+    return 1.0, "" if unit == "1" else unit
 
 
 def seconds(time_s: float, digits: int = 3) -> str:

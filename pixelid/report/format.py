@@ -68,13 +68,11 @@ def in_its_unit(entry: Mapping[str, Any]) -> Shown:
     Shown(value='101.7', interval='99.74 … 103.8', unit='µs', scale=1e-06)
     """
     estimate, ends, unit = entry["value"], entry["interval_95"], entry["unit"]
-    scale = 1.0
-    if unit == "s" and estimate:
-        scale, unit = next(((s, u) for s, u in ((1.0, "s"), (1e-3, "ms")) if abs(estimate) >= s), (1e-6, "µs"))
+    scale, unit = words.in_short_unit(estimate or 0.0, unit)
     if scale != 1.0:
         estimate = estimate / scale
         ends = ends and [None if end is None else end / scale for end in ends]
-    return Shown(value(estimate, ends), interval(ends), "" if unit == "1" else unit, scale)
+    return Shown(value(estimate, ends), interval(ends), unit, scale)
 
 
 def interval(ends: Sequence[float | None] | None) -> str:
