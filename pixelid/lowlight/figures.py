@@ -87,7 +87,8 @@ def _mark_exits(axis, x: np.ndarray, y: np.ndarray, colour: str) -> None:
     for side, marker in ((1, "^"), (-1, "v")):
         beyond = side * y > MOST_ERROR
         out = np.flatnonzero(beyond[1:] != beyond[:-1])
-        axis.plot(x[out], np.full(len(out), side * MOST_ERROR), marker, color=colour, clip_on=False)
+        if len(out):  # nothing to draw, not clipped, has no place in a layout
+            axis.plot(x[out], np.full(len(out), side * MOST_ERROR), marker, color=colour, clip_on=False)
 
 
 @styled

@@ -143,12 +143,13 @@ def _rendered(page: Page, result: dict[str, Any], folder: Path) -> str:
 
 
 def with_code(text: str) -> Markup:
-    """A text as HTML, with what stands in backticks as code.
+    """A text as HTML, with what stands in backticks as code, and powers raised.
 
-    >>> str(with_code("see `pixelid gap` & <more>"))
-    'see <code>pixelid gap</code> &amp; &lt;more&gt;'
+    >>> str(with_code("see `pixelid gap` & <more>")), str(with_code("β × k^-0.25"))
+    ('see <code>pixelid gap</code> &amp; &lt;more&gt;', 'β × k<sup>−0.25</sup>')
     """
-    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text))))
+    raised = re.sub(r"\^(-?)([\d.]*\d)", lambda m: f"<sup>{'−' * len(m[1])}{m[2]}</sup>", str(escape(text)))
+    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", raised))
 
 
 def with_names(text: object, known: Iterable[str]) -> str:
