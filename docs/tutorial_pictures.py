@@ -8,6 +8,8 @@
 from __future__ import annotations
 
 import argparse
+import sys
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +27,7 @@ from pixelid.stimuli.files import load_stimulus
 
 RECORDING = "chirp_400"
 STORY = "chirp_24"
+PAGE_WIDTH, PAGE_END = 920, ".recording"
 MOST_POINTS = 2000  # of a curve
 BINS = 14
 
@@ -75,7 +78,7 @@ def draw_story(result: Calibration):
     for sign, colour, name in ((1, ON, "ON"), (0, OFF, "OFF")):
         mine = events.p == sign
         figure_axes[1, 0].plot(t[mine], row[mine], "|", color=colour, markersize=3, markeredgewidth=0.5, label=name)
-    figure_axes[1, 0].set(title=f"2. Events of {len(pixels)} pixels", xlabel="time (s)", ylabel="pixel")
+    figure_axes[1, 0].set(title=f"2. Events of {len(pixels)} pixels", xlabel="time (s)", ylabel="pixel", yticks=[])
     figure_axes[1, 0].sharex(figure_axes[0, 0])
     grid = figure_axes[0, 1].get_gridspec()
     for axis in (*figure_axes[:, 1], *figure_axes[:, 2]):
@@ -83,13 +86,13 @@ def draw_story(result: Calibration):
     rates, intervals = (figure_axes[0, 0].figure.add_subplot(grid[:, k]) for k in (1, 2))
     model = simulated(result.fit.model, recording, light, result.fit.seed, len(pixels))
     draw_rates(rates, recording, light, {"the fitted pixel": (model, len(pixels), None, "-")})
-    rates.set(title="3. Measured (areas), fitted pixel (lines)", xlabel="time (s)", ylabel="events/s per pixel")
+    rates.set(title="3. Measured (areas) and fitted (lines)", xlabel="time (s)", ylabel="events/s per pixel")
     truth = read_json(BENCH / "truth.json")
     of_effects = {f"{name}.rate_hz": value for name, value in truth["effects"].items()}
     hidden = {**truth, **of_effects, "threshold_mismatch.sigma": truth["threshold_mismatch"]}
     own = {n: p for n, p in result.as_dict()["parameters"].items() if "[" not in n and "alignment" not in n}
     draw_intervals(own, reference=hidden, axis=intervals)
-    intervals.set(title="4. The pixel: 95 % intervals over the truth", xlabel="")
+    intervals.set(title="4. The pixel", xlabel="95 % intervals over the truth")
     for legend in rates.figure.legends:
         legend.remove()
     return np.array([figure_axes[0, 0], figure_axes[1, 0], rates, intervals])
@@ -110,6 +113,33 @@ def _residuals(axis, fit: FitResult, result: Calibration) -> None:
     axis.axhline(0.0, color=INK, linewidth=0.6)
 
 
+# Numbers next to the parts of a page that the tutorial lists in this order.
+NUMBERS = """(parts => parts.forEach((part, k) => {
+  const at = document.querySelector(part).getBoundingClientRect(), mark = document.createElement("b");
+  mark.textContent = k + 1;
+  mark.style = `position: absolute; left: 8px; top: ${at.top + scrollY}px; width: 26px; border-radius: 13px;
+    color: #fff; background: #b0578d; text-align: center; font: bold 16px/26px sans-serif`;
+  document.body.append(mark);
+}))(["h1", ".sentence", "#pixel", "#recordings", "#residuals-before-and-after"])"""
+
+
+def take_page(result: Calibration, path: Path) -> None:
+    """The page of a calibration with numbers at its parts, as Chromium shows it, down to the first recordings."""
+    sys.path.append(str(Path(__file__).parents[1] / "tests"))
+    from browser import Browser
+    from PIL import Image
+
+    with tempfile.TemporaryDirectory() as folder:
+        page = result.report(Path(folder) / "camera", list(result.recordings))
+        with Browser(Path(folder) / "profile") as window:
+            window.visit(page, PAGE_WIDTH)
+            window.evaluate("document.body.style.paddingLeft = '48px'")
+            window.evaluate(NUMBERS)
+            end = int(window.evaluate(f"document.querySelector('{PAGE_END}').getBoundingClientRect().bottom + scrollY"))
+            with Image.open(window.screenshot(Path(folder) / "page.png")) as shot:
+                shot.crop((0, 0, shot.width, end + 10)).convert("P", palette=Image.Palette.ADAPTIVE).save(path)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path("docs"))
@@ -119,6 +149,7 @@ def main() -> None:
     save_figure(draw_story(result), options.out / "picture.png")
     save_figure(draw_trace(), options.out / "tutorial" / "photodiode.svg")
     save_figure(draw_residuals(result), options.out / "tutorial" / "residuals.svg")
+    take_page(result, options.out / "tutorial" / "page.png")
 
 
 if __name__ == "__main__":

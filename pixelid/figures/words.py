@@ -11,7 +11,7 @@ _WORDS = {
     "alpha": "α", "beta": "β", "gamma": "γ", "sf_cutoff_hz": "source follower's cutoff",
     "diff_cutoff_hz": "differencing amplifier's cutoff", "on_threshold": "ON threshold",
     "off_threshold": "OFF threshold", "threshold_sigma": "threshold noise", "refractory_s": "dead time",
-    "threshold_mismatch.sigma": "threshold mismatch",
+    "threshold_mismatch.sigma": "threshold mismatch", "leak.rate_hz": "leak",
     "delay_s": "delay",
 }  # fmt: skip
 SYMBOLS = {  # (letter, index)
@@ -20,6 +20,7 @@ SYMBOLS = {  # (letter, index)
     "on_threshold": ("C", "on"), "off_threshold": ("C", "off"),
     "threshold_sigma": ("σ", "C"), "threshold_mismatch.sigma": ("σ", "pixel"), "refractory_s": ("τ", "dead"),
 }  # fmt: skip
+RATES = ("leak.rate_hz", "off_background.rate_hz", "hot_pixels.rate_hz", "parasitic_photocurrent.rate_hz_per_radiance")
 SUPERSCRIPT = str.maketrans("-−0123456789", "⁻⁻⁰¹²³⁴⁵⁶⁷⁸⁹")  # of exponents; either minus
 SHORT = 13  # letters, as wide as a panel among many
 UNIT = re.compile(r"(?<!per)_(hz|rad|s)$")  # at the end of a parameter's name
@@ -60,6 +61,15 @@ def light_unit(parameters: Mapping[str, Mapping[str, Any]]) -> str:
     """The unit of the light, as that of γ or of the corner has it; "" where neither is there."""
     entry = parameters.get("gamma") or parameters.get("alpha_over_beta") or {}
     return str(entry.get("unit", "")).rpartition("/s/")[2]
+
+
+def unit_of(parameter: str, unit: str) -> str:
+    """A parameter's unit in words: events per second are no frequency.
+
+    >>> unit_of("leak.rate_hz", "Hz"), unit_of("sf_cutoff_hz", "Hz")
+    ('events/s', 'Hz')
+    """
+    return unit.replace("Hz", "events/s") if parameter in RATES else unit
 
 
 def stimulus(name: str, parameters: Mapping[str, Any], light: str) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 from markupsafe import Markup, escape
 
 from pixelid.errors import InputError
-from pixelid.figures.words import SYMBOLS, UNIT, in_words
+from pixelid.figures.words import RATES, SYMBOLS, UNIT, in_words, unit_of
 from pixelid.report.format import Shown, in_its_unit, interval, value
 from pixelid.stages import LIBRARY, comparator, effect, photoreceptor
 from pixelid.stages.described import Described
@@ -33,8 +33,6 @@ NAMES = {
     "lens_factor": "transmission of the lens",
 }  # fmt: skip
 SHARES = ("threshold_sigma", "threshold_mismatch.sigma", "lost_events.fraction", "mains_flicker.modulation")
-# Events per second are no frequency.
-RATES = ("leak.rate_hz", "off_background.rate_hz", "hot_pixels.rate_hz", "parasitic_photocurrent.rate_hz_per_radiance")
 KILOHERTZ = 1e4  # from which on a frequency is written in kHz: four digits suffice below
 
 
@@ -169,7 +167,7 @@ def _shown(parameter: str, entry: Mapping[str, Any]) -> Shown:
     if parameter in SHARES:
         return _scaled(entry, 0.01, "%")
     if parameter in RATES:
-        return _scaled(entry, 1.0, unit.replace("Hz", "events/s"))
+        return _scaled(entry, 1.0, unit_of(parameter, unit))
     if unit == "Hz" and estimate and abs(estimate) >= KILOHERTZ:
         return _scaled(entry, 1e3, "kHz")
     shown = in_its_unit(entry)
