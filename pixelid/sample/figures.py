@@ -15,6 +15,7 @@ from pixelid.sample.convergence import Convergence
 
 LEVELS = (0.68, 0.95)  # of the posterior inside the contours
 HISTOGRAM_LINE = 1.2  # points
+MOST_POINTS = 300  # of a trace: steps are taken together, for a page of thousands has megabytes
 WIDE = 10.0  # ratio of the ends from which an axis is logarithmic
 SMOOTHING = 1.0  # bins: contours of a few thousand draws are islands otherwise
 
@@ -77,7 +78,7 @@ def _scale(ends: tuple[float, float]) -> str:
 
 @styled
 def draw_trace(posterior: Draws, axes: Any = None) -> Any:
-    """The mean and the 5 to 95 % range of the walkers at every step, one colour per ensemble: they must overlap.
+    """The mean and the 5 to 95 % range of the walkers over the steps, one colour per ensemble: they must overlap.
 
     Returns the axes, two to a row.
     """
@@ -90,10 +91,12 @@ def draw_trace(posterior: Draws, axes: Any = None) -> Any:
         for k, ensemble in enumerate(posterior.chain[..., i]):  # (steps, walkers)
             scale, unit = in_short_unit(p.value, p.unit)
             values = (np.exp(ensemble) if p.transform == "log" else ensemble) / scale
-            low, high = np.quantile(values, [0.05, 0.95], axis=1)
-            steps = np.arange(len(values))
+            together = -(-len(values) // MOST_POINTS)
+            blocks = values[: len(values) // together * together].reshape(-1, together * values.shape[1])
+            low, high = np.quantile(blocks, [0.05, 0.95], axis=1)
+            steps = together * (np.arange(len(blocks)) + 0.5)
             axis.fill_between(steps, low, high, color=colours[k], alpha=0.25, linewidth=0)
-            axis.plot(steps, values.mean(axis=1), color=colours[k], linewidth=0.8)
+            axis.plot(steps, blocks.mean(axis=1), color=colours[k], linewidth=0.8)
             axis.set_yscale(_scale((float(low.min()), float(high.max()))))
         axis.set_title(f"{with_unit(p.name, unit)}, R̂ {posterior.convergence.r_hat[i]:.4f}")
     for axis in axes[-1]:
