@@ -30,7 +30,7 @@ from pixelid.nerf.shown.saved import SavedReconstruction
 from pixelid.nerf.training import checkpoint, parallel
 from pixelid.nerf.training.judged import keep_best, train_judged
 from pixelid.nerf.training.problem import problem_of
-from pixelid.nerf.training.recipe import Recipe
+from pixelid.nerf.training.recipe import LEAST_STEPS, Recipe
 from pixelid.nerf.training.residuals import Left, left_by
 from pixelid.nerf.training.state import Problem, State, start
 from pixelid.nerf.training.train import held_out_residual
@@ -185,7 +185,7 @@ def reconstruct(
     unidentified = _left_open(problem, state)
     status, advice = _verdict(
         held_out, scores, state.iteration, finite, state.pixel.thresholds_from_told(), unidentified,
-        _missing_steps(recipe, problem, state),
+        _missing_steps(recipe, state),
     )  # fmt: skip
     content = {
         "status": status,
@@ -377,7 +377,7 @@ def _verdict(
     unexplained = f"{100 * held_out:.0f} % of what events of held-out pixels show is unexplained (100 %: no scene)"
     if missing:
         return Status.not_converged, (
-            f"{unexplained}: training made {steps} of the {steps + missing} steps that these data ask for, and more "
+            f"{unexplained}: training made {steps} of the {steps + missing} steps that a scene needs at least, and more "
             "would explain more; leave --iterations out, or let --steps auto choose"
         )
     if held_out > MOST_UNEXPLAINED:
@@ -397,9 +397,9 @@ def _verdict(
     return Status.converged, ""
 
 
-def _missing_steps(recipe: Recipe, problem: Problem, state: State) -> int:
-    """Steps that the data ask for and that were not made; 0 where they would win next to nothing."""
-    missing = max(recipe.steps_for(len(problem.training.starts)) - recipe.iterations, 0)
+def _missing_steps(recipe: Recipe, state: State) -> int:
+    """Steps of the least that a scene needs which were not made; 0 where they would win next to nothing."""
+    missing = max(LEAST_STEPS - recipe.iterations, 0)
     return 0 if missing and state.stopping.to_gain(missing) < LEAST_SHARE else missing
 
 

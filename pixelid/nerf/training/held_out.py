@@ -11,8 +11,8 @@ the usual one's.
 Stopping.  In the last stage, whose resolution stays as it is (but in runs shorter than 95 steps above 160 cells per
 side), the held-out loss is looked at `LOOKS` times, always of the same rows.
 
-short    A training of fewer steps than the data ask for (`Recipe.steps_for`) has converged where those that are missing
-         would win less than `LEAST_SHARE` by the same line.
+short    A training of fewer than `recipe.LEAST_STEPS` steps has converged where those that are missing would win less
+         than `LEAST_SHARE` by the same line.
 kept     The last state that is not demonstrably worse than the best one: the best explains more by chance in less than
          `ALPHA`, all looks so far together (Bonferroni), for the best was chosen among them.  A state later in the
          decay of the learning rate has less of the noise of its steps, so that a tie is the later one's.

@@ -110,13 +110,9 @@ class Recipe:
         chain = BYTES_PER_SAMPLE * (SAMPLES_PER_CHAIN + SAMPLES_PER_PAST * samples)
         most = LARGEST_BATCH if memory is None else min(LARGEST_BATCH, max(int(MEMORY_SHARE * memory / chain), 1))
         batch = self.batch or min(int(np.clip(changes * BATCH_SHARE, SMALLEST_BATCH, LARGEST_BATCH)), most)
-        sized = dataclasses.replace(self, batch=batch)
-        return dataclasses.replace(sized, iterations=self.iterations or sized.steps_for(changes))
-
-    def steps_for(self, changes: int) -> int:
-        """Steps of this batch that so many changes of light ask for."""
-        wanted = math.ceil(VISITS * changes / (CHAIN * self.batch) / 100) * 100
-        return int(np.clip(wanted, LEAST_STEPS, MOST_STEPS))
+        wanted = math.ceil(VISITS * changes / (CHAIN * batch) / 100) * 100
+        steps = self.iterations or int(np.clip(wanted, LEAST_STEPS, MOST_STEPS))
+        return dataclasses.replace(self, batch=batch, iterations=steps)
 
     def as_dict(self) -> dict[str, Any]:
         """What reconstruction.json says of it; steps and seed are stated elsewhere."""
