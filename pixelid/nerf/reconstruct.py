@@ -377,8 +377,8 @@ def _verdict(
     unexplained = f"{100 * held_out:.0f} % of what events of held-out pixels show is unexplained (100 %: no scene)"
     if missing:
         return Status.not_converged, (
-            f"{unexplained}: training made {steps} of the {steps + missing} steps that a scene needs at least, and more "
-            "would explain more; leave --iterations out, or let --steps auto choose"
+            f"{unexplained}: training made {steps} of the {steps + missing} steps that a scene needs at least, and "
+            "more would explain more; leave --iterations out, or let --steps auto choose"
         )
     if held_out > MOST_UNEXPLAINED:
         return Status.misfit, f"{unexplained}: check poses, polarity, thresholds and --box"
