@@ -17,7 +17,7 @@ from pixelid.errors import InputError
 from pixelid.nerf.data.calibration import CIRCUIT, Calibration, of_fit, uncertainty_of_fit, unexplained_by
 from pixelid.nerf.data.dataset import CALIBRATION, Dataset, evaluation_views, write_poses
 from pixelid.nerf.data.views import Views
-from pixelid.nerf.effects.ignored import forgotten, ignored_effects
+from pixelid.nerf.effects.ignored import ignored_effects, truncated_memory
 from pixelid.nerf.effects.search import HELD_OUT as SEARCH_HELD_OUT
 from pixelid.nerf.effects.search import hot_pixels, search
 from pixelid.nerf.options import LEAST_SHARE, Options
@@ -341,7 +341,7 @@ def _ignored(
     """What is known of the pixel and not modelled, in words."""
     ignored = (*ignored_effects(problem.circuit), *(maps.unused if maps else ()), *unexplained_by(fit))
     if bandwidth.mode != "off":
-        ignored += forgotten(problem.circuit, problem.training)
+        ignored += truncated_memory(problem.circuit, problem.training)
     if problem.circuit.refractory < calibration.circuit.refractory:
         ignored += (f"a dead time beyond {problem.circuit.refractory:.3g} s, for intervals between events are shorter",)
     return (*ignored, *(maps.filters if maps is not None and not state.pixel.filtering else ()))
