@@ -126,7 +126,7 @@ NUMBERS = """(parts => parts.forEach((part, k) => {
 def take_page(result: Calibration, path: Path) -> None:
     """The page of a calibration with numbers at its parts, as Chromium shows it, down to the first recordings."""
     sys.path.append(str(Path(__file__).parents[1] / "tests"))
-    from browser import Browser
+    from browser import Browser  # pyright: ignore[reportMissingImports]
     from PIL import Image
 
     with tempfile.TemporaryDirectory() as folder:

@@ -84,7 +84,7 @@ def _write_powers_plainly(axes: Any) -> None:
     class Plain(LogFormatterSciNotation):
         def __call__(self, x, pos=None):  # pyright: ignore[reportIncompatibleMethodOverride]
             text = re.sub(r"[${}]|\\mathdefault", "", super().__call__(x, pos)).replace(r"\times", " × ")
-            low, high = (abs(end) for end in self.axis.get_view_interval())
+            low, high = (abs(end) for end in self.axis.get_view_interval()) if self.axis else (0.0, 0.0)
             if text and LEAST_PLAIN <= low < high < min(100.0 * low, MOST_PLAIN):
                 return f"{x:g}"
             mantissa, power, exponent = text.partition("^")

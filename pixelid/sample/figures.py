@@ -58,9 +58,10 @@ def draw_corner(posterior: Draws) -> Any:
     # a parameter whose draws all agree to rounding has no range of its own
     ranges = [np.quantile(column, [0.001, 0.999]) for column in draws.T]
     ranges = [(low, high) if high > low else (low - 0.5, high + 0.5) for low, high in ranges]
+    scales = [_scale(r) for r in ranges]
     # contours alone: a density of every pair makes a page of megabytes
     figure = corner.corner(
-        draws, fig=plt.figure(figsize=(MOST_WIDTH, MOST_WIDTH)), axes_scale=[_scale(r) for r in ranges],
+        draws, fig=plt.figure(figsize=(MOST_WIDTH, MOST_WIDTH)), axes_scale=scales,  # pyright: ignore
         labels=labels,
         range=ranges, bins=30, levels=LEVELS, color=SERIES[0], plot_datapoints=False, plot_density=False,
         no_fill_contours=True, quantiles=(0.025, 0.5, 0.975), max_n_ticks=2, labelpad=0.75, smooth=SMOOTHING,
