@@ -69,6 +69,7 @@ models: $(STAMP)
 	set -e; for sensor in gen31 imx636; do \
 	  $(BIN)/pixelid latency fits/$$sensor.toml --out out/$$sensor --overwrite; \
 	  cp out/$$sensor/model.toml models/$$sensor.toml; done
+	$(BIN)/python benchmarks/latency_poles.py
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

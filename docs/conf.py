@@ -31,6 +31,7 @@ html_title = f"pixelid {release}"
 html_extra_path = ["schemas"]
 html_static_path = ["static"]
 html_css_files = ["equations.css", "home.css"]
+html_js_files = ["copy.js"]
 html_show_sphinx = False
 html_math_renderer = "mathml"
 pygments_style = "default"

@@ -90,31 +90,6 @@ def lowlight() -> str:
     return "\n".join([*lines, *(f"- {sentence}" for sentence in result["sentences"]), ""])
 
 
-def lowlight_latencies() -> str:
-    """Dominant poles of the shipped sensors from their latencies, computed now by `pixelid lowlight --latency`."""
-    from pixelid.lowlight.table import LATENCY_HEADINGS, latency_rows
-
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path])}
-    lines = []
-    for name in ("gen31", "imx636"):
-        with tempfile.TemporaryDirectory() as folder:
-            out = Path(folder) / "lowlight"
-            command = [
-                sys.executable,
-                "-m",
-                "pixelid",
-                "lowlight",
-                name,
-                "--latency",
-                str(ROOT / "fits" / f"{name}.toml"),
-            ]
-            subprocess.run([*command, "--out", str(out), "--quiet"], check=True, env=environment)
-            latency = json.loads((out / "lowlight.json").read_text())["latency"]
-        lines += [f"### `{name}`\n", table(LATENCY_HEADINGS, latency_rows(latency))]
-        lines += [f"- {sentence}" for sentence in latency["sentences"]]
-    return "\n".join([*lines, ""])
-
-
 def grammar() -> str:
     """The cells of `stages/described.py`, with their equations."""
     from pixelid.stages.described import all_cells
@@ -208,7 +183,7 @@ PAGES: dict[str, Callable[[], str]] = {
     "commands": commands,
     "lowlight": lowlight,
     "figure_lowlight": lowlight_figure,
-    "lowlight_latencies": lowlight_latencies,
+    "lowlight_latencies": measured.lowlight_latencies,
     "certification": measured.certification,
     "described": measured.described,
     "grammar": grammar,

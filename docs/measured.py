@@ -446,3 +446,14 @@ def fuzzing() -> str:
     heads = ("seed", "damaged files", "kinds of file", "answered wrongly", "kinds of wrong answer")
     runs = of_json("docs/results/fuzz.json")
     return table(heads, ((e["seed"], e["runs"], e["targets"], e["failures"], e["kinds"]) for e in runs))
+
+
+def lowlight_latencies() -> str:
+    """Dominant poles of the shipped sensors from their latencies (`benchmarks/latency_poles.py`)."""
+    from pixelid.lowlight.table import LATENCY_HEADINGS, latency_rows
+
+    lines = []
+    for name, latency in of_json("benchmarks/latency_poles.json").items():
+        lines += [f"### `{name}`\n", table(LATENCY_HEADINGS, latency_rows(latency))]
+        lines += [f"- {sentence}" for sentence in latency["sentences"]]
+    return "\n".join([*lines, ""])

@@ -15,7 +15,7 @@ NAMES = ("calibrate", "hidden_effect", "reconstruction", "gauge")
 # Pictures of other pages: (file, sentence, page).  Files below _generated are made by the pages before.
 PICTURES = (
     ("tutorial/photodiode.svg", "Light for a calibration: a chirp", "tutorial.md"),
-    ("picture.png", "Measured and fitted responses of a simulated camera", "howto/fit.md"),
+    ("picture.png", "From light and events to the fitted pixel", "tutorial.md"),
     ("_generated/notebook_calibrate_2.png", "A fit's intervals, and where it started", "notebooks/calibrate.md"),
     ("_generated/notebook_gauge_1.png", "Circuit values that events cannot fix", "notebooks/gauge.md"),
     ("tutorial/residuals.svg", "Residuals without and with a leak", "howto/gap.md"),

@@ -18,6 +18,7 @@ from pixelid.bench.result import Calibration
 from pixelid.bench.stages import Stages
 from pixelid.bench.statements import Statement, of_fit
 from pixelid.errors import InputError
+from pixelid.figures.words import unit_of
 from pixelid.fit.bench import with_stated_only
 from pixelid.fit.data import as_fitted
 from pixelid.fit.engines import engine as engine_named
@@ -233,7 +234,7 @@ def _missing(searched: GapReport, last: FitResult) -> str:
     parts = []
     for effect in searched.effects:
         free = [last.estimates[n] for n in effect.parameters if n in last.estimates and not last.estimates[n].fixed]
-        value = f" {free[0].value:.3g} {free[0].unit}" if free else ""
+        value = f" {free[0].value:.3g} {unit_of(free[0].name, free[0].unit)}" if free else ""
         ends = free[0].interval_95 if free else None
         known = f" ({ends[0]:.3g} to {ends[1]:.3g})" if ends and None not in ends else ""
         parts.append(f"{effect.name.replace('_', ' ')}{value}{known}")

@@ -26,7 +26,7 @@ def draw_held_out(result: dict, axis: Any = None) -> Any:
         if -row["behind_best_nats"] > reach:  # it would squeeze the others onto the axis
             axis.annotate(
                 f"{row['behind_best_nats']:.0f}", (-reach, i), (-0.92 * reach, i), va="center",
-                arrowprops={"arrowstyle": "->", "color": MUTED},
+                arrowprops={"arrowstyle": "->", "color": MUTED}, gid="beyond",
             )  # fmt: skip
             continue
         colour = IMPROVED if name == result["best"] else MUTED

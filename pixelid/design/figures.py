@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from pixelid.figures.style import IMPROVED, INK, MUTED, legend_above, new_axes, new_axis, save_figure, styled
-from pixelid.figures.words import in_words
+from pixelid.figures.words import in_words, light_unit, stimulus
 from pixelid.stimuli.files import shape
 
 LEAST_CHANGE = 1.05  # ratio of standard errors from which an arrow has a length
@@ -26,10 +26,12 @@ def write_figures(result: dict, folder: Path) -> None:
 def draw_stimulus(result: dict, axis: Any = None) -> Any:
     """The light that is recommended, over time; returns the axis."""
     best = result["recommended"]
+    unit = light_unit(result["widths_before"])
     light = shape(best["kind"], best["parameters"])
     axis = axis if axis is not None else new_axis(8.6, 2.0)
     axis.plot(light.t, light.radiance, color=INK, linewidth=0.8)
-    axis.set(xlabel="time (s)", ylabel="light", title=best["name"].replace("_", " "))
+    axis.set(xlabel="time (s)", ylabel=f"light ({unit})" if unit else "light")
+    axis.set_title(stimulus(best["name"], best["parameters"], unit))
     axis.margins(x=0.0)
     return axis
 
@@ -41,7 +43,7 @@ def draw_ranking(result: dict, axis: Any = None) -> Any:
     axis = axis if axis is not None else new_axis(7.5, 0.26 * len(ranking) + 0.8)
     best = result["recommended"]["name"]
     axis.barh(
-        [entry["name"].replace("_", " ") for entry in ranking],
+        [stimulus(entry["name"], entry["parameters"], light_unit(result["widths_before"])) for entry in ranking],
         [entry["score"] for entry in ranking],
         xerr=[entry["score_error"] for entry in ranking],
         color=[IMPROVED if entry["name"] == best else MUTED for entry in ranking],

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pixelid.design import criteria
-from pixelid.figures.words import in_words
+from pixelid.figures.words import in_words, stimulus
 from pixelid.fit.uncertainty.curvature import combination
 
 
@@ -24,7 +24,7 @@ def why(names: tuple[str, ...], before: np.ndarray, after: np.ndarray, criterion
     said.append(f"The direction that gains most is {most}: {factor:.3g} times better known.")
     if len(ranking) > 1:
         best, second = ranking[0], ranking[1]
-        other = second["name"].replace("_", " ")
+        other = stimulus(second["name"], second.get("parameters", {}), "")
         said.append(f"Its score is {best['score']:.3g} nats; the next best, {other}, reaches {second['score']:.3g}.")
         if best["score"] - second["score"] < 2 * np.hypot(best["score_error"], second["score_error"]):
             said.append("The difference lies within the error of the estimate: either will do.")

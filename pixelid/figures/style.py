@@ -44,6 +44,8 @@ STYLE = {
     "svg.fonttype": "none", "svg.hashsalt": "pixelid", "savefig.dpi": 150.0,
 }  # fmt: skip
 
+LEAST_PLAIN, MOST_PLAIN = 1e-3, 1e5  # of ticks that are written without powers of ten
+
 _CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ufffe\uffff]")
 Arguments = ParamSpec("Arguments")
 Drawn = TypeVar("Drawn")
@@ -73,18 +75,24 @@ def _figure_of(axes: Any) -> Any:
 
 
 def _write_powers_plainly(axes: Any) -> None:
-    """Ticks of logarithmic axes as 10⁻³ instead of mathematical markup: names with a $ in them are just names."""
-    from matplotlib.ticker import LogFormatterSciNotation
+    """Ticks of logarithmic axes as 10⁻³ instead of mathematical markup; as 200 where they span less than two decades.
+
+    Names with a $ in them are just names.
+    """
+    from matplotlib.ticker import LogFormatterSciNotation, NullFormatter
 
     class Plain(LogFormatterSciNotation):
         def __call__(self, x, pos=None):  # pyright: ignore[reportIncompatibleMethodOverride]
             text = re.sub(r"[${}]|\\mathdefault", "", super().__call__(x, pos)).replace(r"\times", " × ")
+            low, high = (abs(end) for end in self.axis.get_view_interval()) if self.axis else (0.0, 0.0)
+            if text and LEAST_PLAIN <= low < high < min(100.0 * low, MOST_PLAIN):
+                return f"{x:g}"
             mantissa, power, exponent = text.partition("^")
             return mantissa + exponent.translate(SUPERSCRIPT) if power else text
 
     for axis in _figure_of(axes).axes:
         for side in (axis.xaxis, axis.yaxis):
-            if side.get_scale() in ("log", "symlog"):
+            if side.get_scale() in ("log", "symlog") and not isinstance(side.get_major_formatter(), NullFormatter):
                 linear = getattr(side.get_transform(), "linthresh", None)
                 side.set_major_formatter(Plain(linthresh=linear))
                 if side.get_scale() == "log":
@@ -140,10 +148,14 @@ def legend_above(axes: Any, columns: int = 4, title: str = "") -> None:
     for axis in np.ravel(np.asarray(axes, dtype=object)):
         for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
             named.setdefault(label, handle)
-    if named:
-        _figure_of(axes).legend(
+    figure, width = _figure_of(axes), np.inf
+    while named and columns and width > figure.bbox.width:  # as many labels in a row as the figure is wide
+        for drawn in list(figure.legends):
+            drawn.remove()
+        legend = figure.legend(
             named.values(), named, loc="outside upper left", ncols=columns, title=title or None, alignment="left"
         )
+        width, columns = legend.get_window_extent().width, columns - 1
 
 
 def series_colours(count: int) -> list[Any]:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import re
 import textwrap
+from collections.abc import Mapping
+from typing import Any
 
 _WORDS = {
     "alpha": "α", "beta": "β", "gamma": "γ", "sf_cutoff_hz": "source follower's cutoff",
     "diff_cutoff_hz": "differencing amplifier's cutoff", "on_threshold": "ON threshold",
     "off_threshold": "OFF threshold", "threshold_sigma": "threshold noise", "refractory_s": "dead time",
+    "threshold_mismatch.sigma": "threshold mismatch", "leak.rate_hz": "leak",
     "delay_s": "delay",
 }  # fmt: skip
 SYMBOLS = {  # (letter, index)
@@ -17,6 +20,7 @@ SYMBOLS = {  # (letter, index)
     "on_threshold": ("C", "on"), "off_threshold": ("C", "off"),
     "threshold_sigma": ("σ", "C"), "threshold_mismatch.sigma": ("σ", "pixel"), "refractory_s": ("τ", "dead"),
 }  # fmt: skip
+RATES = ("leak.rate_hz", "off_background.rate_hz", "hot_pixels.rate_hz", "parasitic_photocurrent.rate_hz_per_radiance")
 SUPERSCRIPT = str.maketrans("-−0123456789", "⁻⁻⁰¹²³⁴⁵⁶⁷⁸⁹")  # of exponents; either minus
 SHORT = 13  # letters, as wide as a panel among many
 UNIT = re.compile(r"(?<!per)_(hz|rad|s)$")  # at the end of a parameter's name
@@ -27,7 +31,7 @@ def in_words(parameter: str) -> str:
     """A parameter's name in words.
 
     >>> in_words("on_threshold"), in_words("threshold_mismatch.sigma")
-    ('ON threshold', 'threshold mismatch, sigma')
+    ('ON threshold', 'threshold mismatch')
     """
     return _WORDS.get(parameter, parameter.replace(".", ", ").replace("_", " "))
 
@@ -51,6 +55,44 @@ def with_unit(parameter: str, unit: str) -> str:
     """
     unit = _UNITS.get(unit, unit)
     return f"{in_words(parameter)} ({unit})" if unit else in_words(parameter)
+
+
+def light_unit(parameters: Mapping[str, Mapping[str, Any]]) -> str:
+    """The unit of the light, as that of γ or of the corner has it; "" where neither is there."""
+    entry = parameters.get("gamma") or parameters.get("alpha_over_beta") or {}
+    return str(entry.get("unit", "")).rpartition("/s/")[2]
+
+
+def unit_of(parameter: str, unit: str) -> str:
+    """A parameter's unit in words: events per second are no frequency.
+
+    >>> unit_of("leak.rate_hz", "Hz"), unit_of("sf_cutoff_hz", "Hz")
+    ('events/s', 'Hz')
+    """
+    return unit.replace("Hz", "events/s") if parameter in RATES else unit
+
+
+def stimulus(name: str, parameters: Mapping[str, Any], light: str) -> str:
+    """A stimulus of a menu in words, with its level in the unit of the light.
+
+    >>> stimulus("long_chirp_390", {"level": 390.0}, "fA"), stimulus("chirp", {}, "fA")
+    ('long chirp at 390 fA', 'chirp')
+    """
+    kind, _, level = name.rpartition("_")
+    if level and level == f"{parameters.get('level', 0.0):g}":
+        return f"{kind} at {level} {light}".replace("_", " ").strip()
+    return name.replace("_", " ")
+
+
+def in_short_unit(value: float, unit: str) -> tuple[float, str]:
+    """(scale, unit) in which a value is written: short times in milli- or microseconds, no unit for a ratio.
+
+    >>> in_short_unit(2.1e-4, "s"), in_short_unit(0.3, "log radiance"), in_short_unit(12.0, "Hz")
+    ((1e-06, 'µs'), (1.0, 'log radiance'), (1.0, 'Hz'))
+    """
+    if unit == "s" and value:
+        return next(((s, u) for s, u in ((1.0, "s"), (1e-3, "ms")) if abs(value) >= s), (1e-6, "µs"))
+    return 1.0, "" if unit == "1" else unit
 
 
 def seconds(time_s: float, digits: int = 3) -> str:

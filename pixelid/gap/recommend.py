@@ -57,7 +57,7 @@ def advise(
     blind = blindest(directions)
     if blind is None:
         return {"why": "nothing: every effect of the library is in the model", "stimulus": None}
-    why = f"to see {blind.effect}, the effect these recordings would show least at its typical strength"
+    why = f"to see {blind.effect}, the effect that could be overlooked most easily in these recordings"
     return recommended(at, state.model, blind.effect, None, why, seed)
 
 

@@ -12,6 +12,7 @@ from pixelid.lowlight import poles, radii, response
 from pixelid.stages.circuit import Circuit
 
 STYLES = {"exact": (INK, "-"), "one_pole": (SERIES[1], "--"), "at_dark": (SERIES[4], ":")}
+MOST_ERROR = 105.0  # per cent, that are drawn
 LABELS = {"exact": "exact", "one_pole": "one pole (α/β) L", "at_dark": "tangent in the dark"}
 
 
@@ -81,6 +82,15 @@ def draw_poles(result: dict, circuit: Circuit, kinds: list[str], axes: Any = Non
     return axes
 
 
+def _mark_exits(axis, x: np.ndarray, y: np.ndarray, colour: str) -> None:
+    """Triangles where a curve leaves the axis of errors."""
+    for side, marker in ((1, "^"), (-1, "v")):
+        beyond = side * y > MOST_ERROR
+        out = np.flatnonzero(beyond[1:] != beyond[:-1])
+        if len(out):  # nothing to draw, not clipped, has no place in a layout
+            axis.plot(x[out], np.full(len(out), side * MOST_ERROR), marker, color=colour, clip_on=False)
+
+
 @styled
 def draw_errors(result: dict, circuit: Circuit, kinds: list[str], axes: Any = None) -> Any:
     """Signed relative errors of the approximations over radiance."""
@@ -90,10 +100,11 @@ def draw_errors(result: dict, circuit: Circuit, kinds: list[str], axes: Any = No
     for axis, name in zip(axes[0], radii.QUANTITIES, strict=True):
         for kind in kinds:
             for scope in result["errors"][kind][name]:
-                error = radii.error_function(circuit, kind, name, scope)
+                error = 100 * radii.error_function(circuit, kind, name, scope)(radiance)
+                _mark_exits(axis, radiance, error, STYLES[kind][0])
                 axis.plot(
                     radiance,
-                    100 * error(radiance),
+                    error,
                     color=STYLES[kind][0],
                     linestyle="-" if scope == "photoreceptor" else "--",
                     label=f"{LABELS[kind]}, of the {scope}",
@@ -102,7 +113,7 @@ def draw_errors(result: dict, circuit: Circuit, kinds: list[str], axes: Any = No
             for sign in (-100, 100):
                 axis.axhline(sign * level, color=MUTED, linewidth=0.5)
         axis.axhline(0.0, color=INK, linewidth=0.8)
-        axis.set(xscale="log", ylim=(-105, 105), xlabel=f"radiance ({result['radiance_unit']})")
+        axis.set(xscale="log", ylim=(-MOST_ERROR, MOST_ERROR), xlabel=f"radiance ({result['radiance_unit']})")
         axis.set(ylabel=f"error of the {name.replace('_', ' ')} (%)")
         _shade(axis, result)
     legend_above(axes, 2)
@@ -156,6 +167,9 @@ def draw_steps(result: dict, circuit: Circuit, kinds: list[str], axes: Any = Non
         axis.axhline(response.LEVEL, color=MUTED, linewidth=0.5)
         axis.set(xlabel="time after the step (ms)", title=f"{radiance:.3g} {result['radiance_unit']}")
     axes[0, 0].set_ylabel("response")
+    top = max(axis.get_ylim()[1] for axis in axes[0])
+    for axis in axes[0]:  # levels are compared: one range
+        axis.set_ylim(-0.05, top)
     legend_above(axes)
     return axes
 

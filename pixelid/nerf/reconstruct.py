@@ -17,10 +17,10 @@ from pixelid.errors import InputError
 from pixelid.nerf.data.calibration import CIRCUIT, Calibration, of_fit, uncertainty_of_fit, unexplained_by
 from pixelid.nerf.data.dataset import CALIBRATION, Dataset, evaluation_views, write_poses
 from pixelid.nerf.data.views import Views
-from pixelid.nerf.effects.ignored import forgotten, ignored_effects
+from pixelid.nerf.effects.ignored import ignored_effects, truncated_memory
 from pixelid.nerf.effects.search import HELD_OUT as SEARCH_HELD_OUT
 from pixelid.nerf.effects.search import hot_pixels, search
-from pixelid.nerf.options import Options
+from pixelid.nerf.options import LEAST_SHARE, Options
 from pixelid.nerf.pixel.maps import PixelMaps, maps_of_sensor
 from pixelid.nerf.pixel.model import FILTER, Bandwidth
 from pixelid.nerf.shown.beside import Beside
@@ -30,7 +30,7 @@ from pixelid.nerf.shown.saved import SavedReconstruction
 from pixelid.nerf.training import checkpoint, parallel
 from pixelid.nerf.training.judged import keep_best, train_judged
 from pixelid.nerf.training.problem import problem_of
-from pixelid.nerf.training.recipe import Recipe
+from pixelid.nerf.training.recipe import LEAST_STEPS, Recipe
 from pixelid.nerf.training.residuals import Left, left_by
 from pixelid.nerf.training.state import Problem, State, start
 from pixelid.nerf.training.train import held_out_residual
@@ -41,7 +41,9 @@ from pixelid.status import Status
 if TYPE_CHECKING:
     from pixelid.recordings.recording import Recording
 
-LEARNED = 0.9  # share of held-out changes left unexplained, above which the field explains too little
+# Root mean square of what is left of held-out changes, as a share of what they show.  An event is a change of one
+# threshold: a miss of half of one makes the next number of events as near as the right one.
+MOST_UNEXPLAINED = 0.5
 # Standard deviations of a fit from which on a trained threshold contradicts it: the scene's contrast, which events tell
 # from a threshold hardly, has taken it along
 MOST_FAR = 5.0
@@ -182,7 +184,8 @@ def reconstruct(
     left = left_by(problem, state) if finite and found is not None else None
     unidentified = _left_open(problem, state)
     status, advice = _verdict(
-        held_out, scores, state.iteration, finite, state.pixel.thresholds_from_told(), unidentified
+        held_out, scores, state.iteration, finite, state.pixel.thresholds_from_told(), unidentified,
+        _missing_steps(recipe, state),
     )  # fmt: skip
     content = {
         "status": status,
@@ -338,7 +341,7 @@ def _ignored(
     """What is known of the pixel and not modelled, in words."""
     ignored = (*ignored_effects(problem.circuit), *(maps.unused if maps else ()), *unexplained_by(fit))
     if bandwidth.mode != "off":
-        ignored += forgotten(problem.circuit, problem.training)
+        ignored += truncated_memory(problem.circuit, problem.training)
     if problem.circuit.refractory < calibration.circuit.refractory:
         ignored += (f"a dead time beyond {problem.circuit.refractory:.3g} s, for intervals between events are shorter",)
     return (*ignored, *(maps.filters if maps is not None and not state.pixel.filtering else ()))
@@ -359,7 +362,7 @@ def _psnr(seen: Scores | None) -> float:
 
 def _verdict(
     held_out: float, scores: Scores, steps: int, finite: bool, far: Mapping[str, float],
-    unidentified: Sequence[str] = (),
+    unidentified: Sequence[str] = (), missing: int = 0,
 ) -> tuple[Status, str]:  # fmt: skip
     if not finite or not np.isfinite(scores.psnr).all():
         return Status.diverged, (
@@ -371,11 +374,14 @@ def _verdict(
             "nothing was judged: only one pixel has two events, and the scene was trained on them; take a recording in "
             "which more pixels fire"
         )
-    if held_out > LEARNED:
-        return Status.misfit, (
-            f"{held_out:.2f} of what events of held-out pixels show is unexplained (1 would be no scene): "
-            "check poses, polarity, thresholds and --box, or train longer"
+    unexplained = f"{100 * held_out:.0f} % of what events of held-out pixels show is unexplained (100 %: no scene)"
+    if missing:
+        return Status.not_converged, (
+            f"{unexplained}: training made {steps} of the {steps + missing} steps that a scene needs at least, and "
+            "more would explain more; leave --iterations out, or let --steps auto choose"
         )
+    if held_out > MOST_UNEXPLAINED:
+        return Status.misfit, f"{unexplained}: check poses, polarity, thresholds and --box"
     gone = {name: z for name, z in far.items() if abs(z) > MOST_FAR}
     if gone:
         went = ", ".join(f"{name} {z:+.0f}" for name, z in gone.items())
@@ -389,6 +395,12 @@ def _verdict(
             "clocks needs a camera whose speed changes, a mean threshold a fit"
         )
     return Status.converged, ""
+
+
+def _missing_steps(recipe: Recipe, state: State) -> int:
+    """Steps of the least that a scene needs which were not made; 0 where they would win next to nothing."""
+    missing = max(LEAST_STEPS - recipe.iterations, 0)
+    return 0 if missing and state.stopping.to_gain(missing) < LEAST_SHARE else missing
 
 
 def _left_open(problem: Problem, state: State) -> list[str]:

@@ -6,6 +6,7 @@ import shlex
 from pathlib import Path
 from typing import Any
 
+from pixelid.figures import words
 from pixelid.report.circuit import uses_of
 from pixelid.report.format import interval, number, seconds, sentence
 from pixelid.report.page import Number, Result, Summary, command_line, folder_name, inputs_of
@@ -91,10 +92,10 @@ def prepare_lowlight(result: Result, folder: Path) -> dict[str, Any]:
 def summarise_design(result: Result, folder: Path) -> Summary:
     if "wishes" in result:
         return _summarise_biases(result, folder)
-    best = result["recommended"]
+    best, light = result["recommended"], words.light_unit(result["widths_before"])
     return Summary(
         "design",
-        f"Record next: {best['name'].replace('_', ' ')}, {seconds(best['duration_s'])}",
+        f"Record next: {words.stimulus(best['name'], best['parameters'], light)}, {seconds(best['duration_s'])}",
         result["status"],
         " ".join(sentence(x) for x in (result["why"], result.get("advice", "")) if x),
         (
@@ -124,7 +125,7 @@ def _summarise_biases(result: Result, folder: Path) -> Summary:
     best, numbers = result["recommended"], []
     for name, said in best["predicted"].items():
         numbers.append(Number(f"{name}, 95 % {interval(said['interval_95'])}", number(said["value"], 3)))
-    words = [f"--{name} {one['wanted']:g}" for name, one in result["wishes"].items()]
+    wanted = [f"--{name} {one['wanted']:g}" for name, one in result["wishes"].items()]
     low, high = result["fitted_range_mv"]
     return Summary(
         "design",
@@ -137,7 +138,7 @@ def _summarise_biases(result: Result, folder: Path) -> Summary:
             Number("the wish that binds", result["binding"]),
             *numbers,
         ),
-        command_line("design", result, str(result["model"]), "--biases", *" ".join(words).split(), out=folder,
+        command_line("design", result, str(result["model"]), "--biases", *" ".join(wanted).split(), out=folder,
                      inputs=False),
     )  # fmt: skip
 
@@ -154,16 +155,21 @@ def prepare_design(result: Result, folder: Path) -> dict[str, Any]:
         }
     from pixelid.design.table import RANKING_HEADINGS, WIDTHS_HEADINGS, ranking_rows
 
+    light = words.light_unit(result["widths_before"])
+
     return {
         "ranking_headings": RANKING_HEADINGS,
-        "ranking": [[row[0].replace("_", " "), *row[1:]] for row in ranking_rows(result)],
+        "ranking": [
+            [words.stimulus(entry["name"], entry["parameters"], light), *row[1:]]
+            for entry, row in zip(result["ranking"], ranking_rows(result), strict=True)
+        ],
         "widths_headings": WIDTHS_HEADINGS,
         "widths": [_width(name, one, result["widths_after"][name]) for name, one in result["widths_before"].items()],
     }
 
 
-def _width(name: str, before: dict[str, Any], after: dict[str, Any]) -> list[str]:
+def _width(name: str, before: dict[str, Any], after: dict[str, Any]) -> list[Any]:
     """A parameter, its value, its intervals before and after, how much narrower, and its unit."""
     first, last = quantity(name, before), quantity(name, {**after, "value": before["value"], "unit": before["unit"]})
     ratio = f"{before['std_coordinate'] / after['std_coordinate']:.3g} ×"
-    return [first.label, first.value, first.interval, last.interval, ratio, first.unit]
+    return [first.markup, first.value, first.interval, last.interval, ratio, first.unit]

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from pixelid.figures import words
-from pixelid.report.circuit import STATUS_LINES, circuit_alone, circuit_parts, light_unit, next_recording, uses_of
+from pixelid.report.circuit import STATUS_LINES, circuit_alone, circuit_parts, next_recording, uses_of
 from pixelid.report.format import count, counted, number, percent, seconds
 from pixelid.report.methods import methods
 from pixelid.report.page import Number, Result, Summary, command_line, folder_name, identified
@@ -63,7 +63,7 @@ def prepare(result: Result, folder: Path) -> dict[str, Any]:
         "statements": _by_kind(result["bench"]),
         "recordings": [_recording(k, row, result["bench"]) for k, row in enumerate(result["recordings"])],
         "refitted": bool(result["effects"] or result["described"]),
-        "next_sentence": next_recording(result["recommended_next"], light_unit(result["parameters"])),
+        "next_sentence": next_recording(result["recommended_next"], words.light_unit(result["parameters"])),
         "methods": methods(result, estimated, [name.replace("_", " ") for name in added]),
     }
 

@@ -99,12 +99,6 @@ def read_truth(folder: Path, parameters: Parameters) -> dict[str, float]:
     return truth
 
 
-def light_unit(parameters: Parameters) -> str:
-    """The unit of the light, as that of γ or of the corner has it; "" where neither is there."""
-    entry = parameters.get("gamma") or parameters.get("alpha_over_beta") or {}
-    return str(entry.get("unit", "")).rpartition("/s/")[2]
-
-
 def circuit_alone(result: Mapping[str, Any]) -> dict[str, Any]:
     """The result with the pixel's parameters only, not those of recordings and clocks."""
     own = {q.parameter for q in quantities(result["parameters"])}

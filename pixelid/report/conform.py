@@ -43,12 +43,12 @@ def prepare(result: Result, folder: Path) -> dict[str, Any]:
     parameters = grown_parameters(result, folder)
     rows = [
         [
-            row["stage"].replace("_", " "),
             in_words(row["effect"]),
             row["verdict"].replace("_", " "),
             strengths(row, parameters) if row["verdict"] == "present" else row["evidence"]["why"],
             chance(row["evidence"]["p_value"]),
             number(row["evidence"]["heldout_gain_nats"], 3),
+            row["stage"].replace("_", " "),
         ]
         for row in result["rows"]
     ]

@@ -36,4 +36,4 @@ def _row(entry: dict[str, Any]) -> list[Any]:
     q = quantity(entry["name"], entry | {"value": entry["found"]})
     truth = quantity(entry["name"], entry | {"value": entry["hidden"]})
     inside = "not estimated" if entry["inside"] is None else entry["inside"]
-    return [q.label, truth.value, q.value, q.interval, q.unit, inside]
+    return [q.markup, truth.value, q.value, q.interval, q.unit, inside]

@@ -10,10 +10,10 @@ from pixelid.figures.words import in_words
 from pixelid.fit.bias_priors import prior_table
 from pixelid.parameters.invariants import PHYSICAL_UNITS
 from pixelid.report.circuit import STATUS_LINES, circuit_alone, circuit_parts, shipped_values, uses_of
-from pixelid.report.format import count, counted, in_its_unit, interval, number, percent, seconds, value
+from pixelid.report.format import count, counted, in_its_unit, number, percent, seconds, value
 from pixelid.report.methods import methods_of_fit
 from pixelid.report.page import Number, Result, Summary, command_line, folder_name, identified, inputs_of
-from pixelid.report.quantities import name_of, quantities
+from pixelid.report.quantities import quantities, quantity, with_index
 
 USABLE = {"converged": "Usable", "not_identified": "Usable in part"}
 LACKING = ("converged", "misfit", "not_converged")  # after which a search for what is missing comes next
@@ -58,18 +58,19 @@ def prepare_fit(result: Result, folder: Path) -> dict[str, Any]:
         "physical": _physical(result),
         "levels": levels_of(result),
         "biases": [list(row) for row in prior_table(result["bias_priors"]).rows] if "bias_priors" in result else None,
-        "posterior": _posterior(result["details"].get("posterior") or {}),
+        "posterior": _posterior(result["details"].get("posterior") or {}, result["parameters"]),
         "methods": methods_of_fit(result, estimated),
     }
 
 
-def _posterior(sampled: dict[str, Any]) -> list[list[Any]]:
+def _posterior(sampled: dict[str, Any], parameters: dict[str, Any]) -> list[list[Any]]:
     """Mean, interval and convergence of every parameter that was sampled."""
+    drawn = sampled.get("parameters", {})
+    shown = [quantity(name, {**parameters[name], **row, "value": row["mean"]}) for name, row in drawn.items()]
     return [
-        [name_of(name), number(row["mean"]), interval(row["interval_95"]), f"{row['effective_samples']:.0f}",
-         f"{row['nested_r_hat']:.4f}"]
-        for name, row in sampled.get("parameters", {}).items()
-    ]  # fmt: skip
+        [q.markup, q.value, q.interval, q.unit, f"{row['effective_samples']:.0f}", f"{row['nested_r_hat']:.4f}"]
+        for q, row in zip(shown, drawn.values(), strict=True)
+    ]
 
 
 def levels_of(result: Result) -> dict[str, list[list[str]]] | None:
@@ -90,14 +91,15 @@ def levels_of(result: Result) -> dict[str, list[list[str]]] | None:
     return {"scales": scales, "camera": camera}
 
 
-def _physical(result: Result) -> list[list[str]]:
+def _physical(result: Result) -> list[list[Any]]:
     """Circuit values with intervals and units; which of them the gauge states."""
     stated, ends = result["gauge"]["fixed"], result.get("physical_intervals_95") or {}
     rows = []
     for name, v in (result.get("physical") or {}).items():
         shown = in_its_unit({"value": v, "interval_95": ends.get(name), "unit": PHYSICAL_UNITS.get(name, "")})
         said = f"assumed: {stated[name]}" if isinstance(stated.get(name), float | int) else shown.interval
-        rows.append([name.replace("_", " "), PHYSICAL_WORDS.get(name, ""), shown.value, said, shown.unit])
+        symbol = "" if name == "radiance_scale" else with_index(name)
+        rows.append([symbol, PHYSICAL_WORDS.get(name, ""), shown.value, said, shown.unit])
     return rows
 
 

@@ -15,6 +15,7 @@ from pixelid.report.quantities import STAGES, Quantity, quantity
 WIDEST = 1.5  # decades on either side of the reference, beyond which an interval ends in an arrow
 NARROWEST = 0.06  # decades on either side: an axis of less would magnify what nobody can use
 MOST_TICKS = 7  # that stand apart on a phone
+APART, EDGE = 14.0, 3.0  # per cent of the axis between labels, and to its ends: a label is 25 px, an axis 180 in print
 HEIGHT, MIDDLE = 26, 13  # of a row, in pixels
 
 
@@ -181,8 +182,16 @@ def _in_words(row: Row) -> str:
 
 
 def _axis(low: float, high: float, ticks: Sequence[float]) -> Markup:
+    labelled: list[float] = []
+    for tick in sorted(ticks, key=lambda tick: abs(math.log10(tick))):  # the reference first, then outwards
+        at = _percent(tick, low, high)
+        if tick == 1.0 or (
+            EDGE <= at <= 100.0 - EDGE and all(abs(at - _percent(t, low, high)) >= APART for t in labelled)
+        ):
+            labelled.append(tick)
     labels = Markup("").join(
-        Markup('<text x="{:.2f}%" y="14">{}</text>').format(_percent(tick, low, high), f"×{tick:g}") for tick in ticks
+        Markup('<text x="{:.2f}%" y="14">{}</text>').format(_percent(tick, low, high), f"×{tick:g}")
+        for tick in sorted(labelled)
     )
     return Markup('<svg class="axis" width="100%" height="18" role="img" aria-label="ratio axis">{}</svg>').format(
         labels

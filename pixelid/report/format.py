@@ -13,6 +13,7 @@ from pixelid.figures import words
 SMALLEST_CHANCE = 1e-15  # what arithmetic of doubles can tell from nothing
 _NAMES = ("alpha", "beta", "gamma", "leak")  # of parameters and effects: never capitals
 _POWER = re.compile(r"(?<![\w.])(-?\d+(?:\.\d+)?)e([+-]\d+)\b")
+_NO_CHANCE = re.compile(r"\bp = 0(?![.\d])")  # a probability that doubles cannot hold
 _THIN = "\N{NARROW NO-BREAK SPACE}"
 
 
@@ -67,13 +68,11 @@ def in_its_unit(entry: Mapping[str, Any]) -> Shown:
     Shown(value='101.7', interval='99.74 … 103.8', unit='µs', scale=1e-06)
     """
     estimate, ends, unit = entry["value"], entry["interval_95"], entry["unit"]
-    scale = 1.0
-    if unit == "s" and estimate:
-        scale, unit = next(((s, u) for s, u in ((1.0, "s"), (1e-3, "ms")) if abs(estimate) >= s), (1e-6, "µs"))
+    scale, unit = words.in_short_unit(estimate or 0.0, unit)
     if scale != 1.0:
         estimate = estimate / scale
         ends = ends and [None if end is None else end / scale for end in ends]
-    return Shown(value(estimate, ends), interval(ends), "" if unit == "1" else unit, scale)
+    return Shown(value(estimate, ends), interval(ends), unit, scale)
 
 
 def interval(ends: Sequence[float | None] | None) -> str:
@@ -127,8 +126,10 @@ def sentence(text: object, capital: bool = True) -> str:
     'Between 1280 and 2 × 10⁻⁶ Hz.'
     >>> sentence("alpha stays open")
     'alpha stays open.'
+    >>> sentence("an effect is missing (p = 0)")
+    'An effect is missing (p < 10⁻¹⁵).'
     """
-    said = with_powers(str(text).strip())
+    said = _NO_CHANCE.sub(f"p {chance(0.0)}", with_powers(str(text).strip()))
     first = re.match(r"[a-z]+(?=[\s,:;-]|$)", said)
     if capital and first and first[0] not in _NAMES:
         said = said[:1].upper() + said[1:]

@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from pixelid.errors import InputError
+from pixelid.figures import words
 from pixelid.model.files import load_model
-from pixelid.report.circuit import circuit_parts, light_unit, next_recording, shipped_values, uses_of
+from pixelid.report.circuit import circuit_parts, next_recording, shipped_values, uses_of
 from pixelid.report.fits import levels_of
 from pixelid.report.format import chance, number, percent, seconds
 from pixelid.report.methods import methods_of_search
@@ -209,6 +210,6 @@ def prepare(result: Result, folder: Path) -> dict[str, Any]:
         "named": [(e["name"].replace("_", " "), _what_it_does(e["name"]), e["where"]) for e in result["effects"]],
         "worse": [name for name, one in ((result.get("gap") or {}).get("per_recording") or {}).items()
                   if one["after"] > one["before"]],
-        "next_sentence": next_recording(result["recommended_next"], light_unit(parameters)),
+        "next_sentence": next_recording(result["recommended_next"], words.light_unit(parameters)),
         "methods": methods_of_search(result, base, names),
     }  # fmt: skip

@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import re
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,7 @@ from pixelid.report.methods import bibtex
 from pixelid.report.page import Page, recorded_command
 from pixelid.report.pages import PAGES
 from pixelid.report.pictures import Picture, read_picture
-from pixelid.report.quantities import NAMES, name_of, quantity
+from pixelid.report.quantities import NAMES, name_of, quantity, with_index
 from pixelid.report.scripts import script
 from pixelid.results import check_parameters
 from pixelid.stages import LIBRARY
@@ -94,7 +94,6 @@ def render(page: Page, result: dict[str, Any], folder: Path) -> str:
 def _rendered(page: Page, result: dict[str, Any], folder: Path) -> str:
     import jinja2
 
-    pictures = _pictures(page, folder)
     named = partial(with_names, known=[*LIBRARY, *Status, *_parameters(result)])
     ids = itertools.count(1)
     environment = jinja2.Environment(
@@ -105,6 +104,8 @@ def _rendered(page: Page, result: dict[str, Any], folder: Path) -> str:
         lstrip_blocks=True,
     )
     environment.filters["with_contents"] = with_contents
+    shown = {"result": result, **page.prepare(result, folder)}
+    pictures = _pictures(page, folder, partial(_caption, environment, shown))
     environment.globals |= {
         "number": formats.number,
         "value": formats.value,
@@ -114,22 +115,22 @@ def _rendered(page: Page, result: dict[str, Any], folder: Path) -> str:
         "sentence": lambda text, capital=True: with_code(formats.sentence(named(text), capital)),
         "with_powers": lambda cell: cell if isinstance(cell, Markup) else formats.with_powers(str(cell)),
         "quantity": quantity,
+        "with_index": with_index,
         "counted": formats.counted,
         "unique": lambda: f"rows-{next(ids)}",
         "take": lambda name: pictures.pop(name, None),
         "has": lambda name: name in pictures,
         "has_figures": bool(pictures),
-        "result": result,
         "recorded": bool(recorded_command(folder)),
         "summary": page.summarise(result, folder),
         "files": sorted(printable(path.name) for path in folder.iterdir() if path.suffix in LINKED and path.is_file()),
         "others": (),
         "scripts": [script("page"), script("figures")],
         "downloads": downloads(folder, page.file),
-        "bibtex": bibtex(result),
+        "bibtex": bibtex(shown["result"]),
         "methods": "",
         "next_sentence": "",
-        **page.prepare(result, folder),
+        **shown,
     }
     # figures that the template does not name come at its end: the first rendering says which are left
     template = environment.get_template(page.template)
@@ -142,12 +143,13 @@ def _rendered(page: Page, result: dict[str, Any], folder: Path) -> str:
 
 
 def with_code(text: str) -> Markup:
-    """A text as HTML, with what stands in backticks as code.
+    """A text as HTML, with what stands in backticks as code, and powers raised.
 
-    >>> str(with_code("see `pixelid gap` & <more>"))
-    'see <code>pixelid gap</code> &amp; &lt;more&gt;'
+    >>> str(with_code("see `pixelid gap` & <more>")), str(with_code("β × k^-0.25"))
+    ('see <code>pixelid gap</code> &amp; &lt;more&gt;', 'β × k<sup>−0.25</sup>')
     """
-    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text))))
+    raised = re.sub(r"\^(-?)([\d.]*\d)", lambda m: f"<sup>{'−' * len(m[1])}{m[2]}</sup>", str(escape(text)))
+    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", raised))
 
 
 def with_names(text: object, known: Iterable[str]) -> str:
@@ -187,7 +189,13 @@ def _anchor(title: str) -> str:
     return re.sub(r"\W+", "-", re.sub(r"<[^>]*>|&\w+;", "", title).lower()).strip("-")
 
 
-def _pictures(page: Page, folder: Path) -> dict[str, Picture]:
+def _caption(environment: Any, shown: dict[str, Any], caption: str, path: Path) -> str:
+    """A caption, of what its drawing has: it is a template over the page's names and the text of the drawing."""
+    drawing = path.read_text(encoding="utf-8", errors="replace") if path.suffix == ".svg" else ""
+    return environment.from_string(caption).render(shown, drawing=drawing).strip()
+
+
+def _pictures(page: Page, folder: Path, caption: Callable[[str, Path], str]) -> dict[str, Picture]:
     # a link would put a file of this computer into a page that is handed on
     found = [path for path in sorted(folder.iterdir()) if path.is_file() and not path.is_symlink()]
     files = {path.stem: path for suffix in (".png", ".svg") for path in found if path.suffix == suffix}
@@ -196,6 +204,8 @@ def _pictures(page: Page, folder: Path) -> dict[str, Picture]:
     pictures = {}
     for name, path in files.items():
         shown = printable(name)
-        words = captions.get(name, {"caption": shown.replace("_", " "), "alt": f"Figure: {shown.replace('_', ' ')}"})
-        pictures[name] = read_picture(path, words["caption"], words["alt"])
+        words = captions.get(name)
+        name_only = shown.replace("_", " ")
+        said = (caption(words["caption"], path), words["alt"]) if words else (name_only, f"Figure: {name_only}")
+        pictures[name] = read_picture(path, *said)
     return pictures

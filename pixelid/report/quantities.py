@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from markupsafe import Markup, escape
+
 from pixelid.errors import InputError
-from pixelid.figures.words import SYMBOLS, UNIT, in_words
+from pixelid.figures.words import RATES, SYMBOLS, UNIT, in_words, unit_of
 from pixelid.report.format import Shown, in_its_unit, interval, value
 from pixelid.stages import LIBRARY, comparator, effect, photoreceptor
 from pixelid.stages.described import Described
@@ -25,10 +28,11 @@ NAMES = {
     "sf_cutoff_hz": "cutoff frequency", "diff_cutoff_hz": "cutoff frequency", "on_threshold": "ON threshold",
     "off_threshold": "OFF threshold", "threshold_sigma": "threshold noise",
     "threshold_mismatch.sigma": "threshold mismatch", "refractory_s": "dead time",
+    "off_background.rate_hz": "OFF background", "led_off_fraction": "light of the LED when off",
+    "on_delay_s": "ON delay", "off_delay_s": "OFF delay", "delay_sigma": "spread of delays",
+    "lens_factor": "transmission of the lens",
 }  # fmt: skip
 SHARES = ("threshold_sigma", "threshold_mismatch.sigma", "lost_events.fraction", "mains_flicker.modulation")
-# Events per second are no frequency.
-RATES = ("leak.rate_hz", "hot_pixels.rate_hz", "parasitic_photocurrent.rate_hz_per_radiance")
 KILOHERTZ = 1e4  # from which on a frequency is written in kHz: four digits suffice below
 
 
@@ -56,6 +60,22 @@ class Quantity:
         """Symbol and name as plain text."""
         letters = "".join(self.symbol) if not self.symbol[1] else "_".join(self.symbol)
         return f"{letters}, {self.name}" if letters and letters != self.name else self.name
+
+    @property
+    def markup(self) -> Markup:
+        """Symbol and name as HTML."""
+        if self.symbol[0] in ("", self.name.partition(",")[0]):
+            return escape(self.name)
+        return Markup("<i>{}</i> {}").format(with_index("_".join(filter(None, self.symbol))), self.name)
+
+
+def with_index(text: str) -> Markup:
+    """A formula as HTML: what follows an underscore lowered, tau as τ.
+
+    >>> str(with_index("0.7 A_amp")), str(with_index("tau_out"))
+    ('0.7 A<sub>amp</sub>', 'τ<sub>out</sub>')
+    """
+    return Markup(re.sub(r"(?<=\w)_(\w+)", r"<sub>\1</sub>", str(escape(text.replace("tau_", "τ_")))))
 
 
 def quantity(parameter: str, entry: Mapping[str, Any]) -> Quantity:
@@ -147,7 +167,7 @@ def _shown(parameter: str, entry: Mapping[str, Any]) -> Shown:
     if parameter in SHARES:
         return _scaled(entry, 0.01, "%")
     if parameter in RATES:
-        return _scaled(entry, 1.0, unit.replace("Hz", "events/s"))
+        return _scaled(entry, 1.0, unit_of(parameter, unit))
     if unit == "Hz" and estimate and abs(estimate) >= KILOHERTZ:
         return _scaled(entry, 1e3, "kHz")
     shown = in_its_unit(entry)

@@ -10,7 +10,7 @@ from typing import Any
 from pixelid.documents import is_number
 from pixelid.figures.words import in_words
 from pixelid.nerf.options import LEAST_SHARE
-from pixelid.report.format import count, counted, number, percent, seconds
+from pixelid.report.format import count, counted, in_its_unit, number, percent, seconds
 from pixelid.report.page import Number, Result, Summary, command_line, folder_name, inputs_of
 from pixelid.report.scripts import script
 
@@ -27,8 +27,7 @@ def summarise(result: Result, folder: Path) -> Summary:
     views, own = result["views"], shlex.quote(folder_name(folder))
     return Summary(
         "reconstruct",
-        "Scene reconstructed"
-        + (f": {_places(views['psnr'], 1)} dB on test views" if views["psnr"] is not None else ""),
+        _answer(result),
         result["status"],
         result.get("advice", ""),
         (
@@ -58,11 +57,27 @@ def summarise(result: Result, folder: Path) -> Summary:
     )
 
 
+def _answer(result: Result) -> str:
+    """How sharp the scene is, and how much of the events it leaves unexplained."""
+    psnr, left = result["views"]["psnr"], result["held_out_residual"]
+    said = [f"{_places(psnr, 1)} dB on test views"] if psnr is not None else []
+    said += [f"{percent(left)} of changes unexplained"] if left is not None else []
+    kind = "Scene reconstructed" if result["status"] == "converged" else "Scene not reliable"
+    return f"{kind}: {', '.join(said)}" if said else kind
+
+
 def prepare(result: Result, folder: Path) -> dict[str, Any]:
     def cell(v: Any) -> str:
         if isinstance(v, list):
             return ", ".join(number(x) for x in v)
         return number(v) if is_number(v) else str("–" if v is None else v)
+
+    def cell_with_unit(name: str, v: Any) -> tuple[str, str]:
+        unit = PIXEL_UNITS.get(name, "")
+        if unit == "s" and is_number(v):
+            shown = in_its_unit({"value": v, "interval_95": None, "unit": unit})
+            return shown.value, shown.unit
+        return cell(v / math.tau if name in CUTOFFS and is_number(v) else v), unit
 
     def row(name: str, v: dict) -> list[str]:
         measures = [_places(v["psnr"], 2), _places(v["ssim"], 3)]
@@ -81,8 +96,7 @@ def prepare(result: Result, folder: Path) -> dict[str, Any]:
         "pixel": [
             [
                 in_words(CUTOFFS.get(name, str(name))),
-                cell(v / math.tau if name in CUTOFFS and is_number(v) else v),
-                PIXEL_UNITS.get(name, ""),
+                *cell_with_unit(name, v),
             ]
             for name, v in result["pixel"].items()
         ],

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+import re
 import shlex
 import statistics
 from pathlib import Path
 from typing import Any
 
 from pixelid.report.circuit import interval_parts, uses_of
-from pixelid.report.format import counted, number, percent, seconds
+from pixelid.report.format import counted, in_its_unit, number, percent, seconds
 from pixelid.report.page import Number, Result, Summary, command_line, folder_name, identified
 from pixelid.report.quantities import name_of
 from pixelid.statistics import Z95
@@ -132,12 +133,34 @@ def _answer_biases(laws: Result) -> str:
         f"{name_of(name)}: {law['law']} in {', '.join(law['codes'])}" for name, law in laws.items() if law.get("codes")
     ]
     said = "; ".join(words) or f"{', '.join(map(name_of, laws)) or 'thresholds'} against bias codes"
-    return said[:1].upper() + said[1:]
+    return _capital(said)
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def _equation(quantity: str, law: Result) -> str:
+    """A law with names in place of its parameters' keys, and the codes that it is of; empty without one."""
+    if "equation" not in law:
+        return ""
+    said = re.sub(r"\bq\b", name_of(quantity), law["equation"])
+    for key in sorted(law["parameters"], key=len, reverse=True):
+        said = said.replace(key, f"({name_of(key)})")
+    codes = (f"{code}, reference {of['reference']:g}" for code, of in law["codes"].items())
+    return f"{said}, with {' and '.join(f'{letter}: {code}' for letter, code in zip('xd', codes, strict=False))}"
+
+
+def _prediction(one: Result) -> list[str]:
+    """A predicted setting as a row of the page."""
+    shown = in_its_unit(one)
+    codes = ", ".join(f"{code} {value:g}" for code, value in one["codes"].items())
+    return [_capital(name_of(one["quantity"])), codes, shown.value, shown.interval, shown.unit, one["note"]]
 
 
 def prepare_biases(result: Result, folder: Path) -> dict[str, Any]:
     from pixelid.outputs import file_name
-    from pixelid.tables.biases.result import PREDICTION_HEADINGS, prediction_rows
+    from pixelid.tables.biases.result import PREDICTION_HEADINGS
 
     def left_out(one: Result) -> list[str]:
         errors = (one["heldout_median"], one["heldout_rms"])
@@ -151,10 +174,13 @@ def prepare_biases(result: Result, folder: Path) -> dict[str, Any]:
         ]  # fmt: skip
 
     return {
-        "laws": [(name_of(name), file_name(name), law, rivals(law)) for name, law in result["quantities"].items()],
+        "laws": [
+            (_capital(name_of(name)), file_name(name), law, _equation(name, law), rivals(law))
+            for name, law in result["quantities"].items()
+        ],
         "rival_headings": ("law", "parameters", "ΔBIC", "weight", "scatter", "settings left out, median", "rms"),
         "prediction_headings": PREDICTION_HEADINGS,
-        "predictions": prediction_rows(result),
+        "predictions": [_prediction(one) for one in result["predictions"]],
     }
 
 

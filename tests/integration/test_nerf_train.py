@@ -593,6 +593,19 @@ def test_a_threshold_that_has_left_its_fit_is_no_result(made):
     assert _verdict(0.4, no_scores(data.views["test"].some([])), 24, True, {"ratio": 4.0})[0] is Status.converged
 
 
+def test_a_scene_of_few_steps_or_of_little_explained_is_not_called_converged(made):
+    """By the steps that are missing, and by half a threshold."""
+    scores = no_scores(read_dataset(made).views["test"].some([]))
+    short, advice = _verdict(0.41, scores, 150, True, {}, (), 450)
+    assert short is Status.not_converged
+    assert "41 %" in advice
+    assert "150 of the 600 steps" in advice
+    assert _verdict(0.33, scores, 600, True, {})[0] is Status.converged
+    status, advice = _verdict(0.51, scores, 600, True, {})
+    assert status is Status.misfit
+    assert advice.startswith("51 % of what events of held-out pixels show is unexplained")
+
+
 def test_what_the_pixel_has_and_the_scene_ignores_is_said(made, tmp_path, capsys):
     (tmp_path / "fit").mkdir()
     model = find_model("dvs128").with_effect("leak", {"rate_hz": 5.0})

@@ -362,7 +362,7 @@ def test_a_candidate_that_diverges_explains_nothing():
     assert bench._gain(bench.rows(there[0]), there[2]) == (0.0, 1.0, 1000)
 
 
-class Sought(_Bench):
+class LineSearched(_Bench):
     """Whose scenes explain held-out events the better the nearer a drift is to the best one, on a scale of factors."""
 
     def __init__(self, best: float, told: bool) -> None:
@@ -387,8 +387,8 @@ class Sought(_Bench):
 def test_a_drift_is_looked_for_by_factors_until_held_out_events_are_explained_no_better(best, end):
     circuit = CIRCUIT.with_(threshold_drift=float(np.copysign(0.1, best)))
     here = _Place(a_calibration(circuit), ("leak", "threshold_drift"), SimpleNamespace(finite=True))  # type: ignore[arg-type]
-    found = Sought(best, told=True).sought(here, "threshold_drift")
+    found = LineSearched(best, told=True).line_search(here, "threshold_drift")
     assert found.calibration.circuit.threshold_drift == pytest.approx(end)
     assert found.trained == ("leak",)
-    noisy = Sought(best, told=False).sought(here, "threshold_drift")
+    noisy = LineSearched(best, told=False).line_search(here, "threshold_drift")
     assert noisy.calibration.circuit.threshold_drift == circuit.threshold_drift

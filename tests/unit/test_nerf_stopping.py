@@ -104,6 +104,14 @@ def test_training_stops_where_nothing_is_left_to_win_and_not_on_noise():
     }  # fmt: skip
 
 
+def test_steps_beyond_the_last_look_win_nothing_where_the_loss_stands_still():
+    still, falling = watched(np.full(LOOKS, 0.5), 1e-4), watched(np.linspace(1.0, 0.5, LOOKS), 1e-4)
+    assert still.to_gain(100) < 0.01
+    assert falling.to_gain() == 0.0  # all its looks are made
+    assert falling.to_gain(100) > 0.1
+    assert watched(np.full(LOOKS, 0.5), 1e-4, apart=6).to_gain(100) == np.inf  # too close to show anything
+
+
 @pytest.mark.parametrize("iterations", [1, 2, 3, 7, 24, 1200, 30_000])
 def test_looks_are_spread_over_the_last_stage_and_end_with_it(iterations):
     recipe = Recipe(iterations=iterations).with_cells(64)

@@ -9,7 +9,7 @@ import torch
 from pixelid.dynamics.of_circuit import dynamics_of
 from pixelid.dynamics.trajectory import Dynamics
 from pixelid.model.shipped import find_model
-from pixelid.nerf.effects.ignored import MODELLED, forgotten, ignored_effects
+from pixelid.nerf.effects.ignored import MODELLED, ignored_effects, truncated_memory
 from pixelid.nerf.events.intervals import chains, intervals
 from pixelid.nerf.pixel.model import Bandwidth, Pixel, filter_parameters, limits_bandwidth
 from pixelid.nerf.pixel.scan import respond
@@ -125,8 +125,8 @@ def test_what_a_lower_cutoff_remembers_is_named_where_it_would_matter():
         parts = [respond(light[k : k + 914], numbers, fine[k : k + 914], np.array([0, 914]))[0] for k in begins]
         apart = [float(part[-1] - part[0]) - (whole[k + 913] - whole[k]) for part, k in zip(parts, begins, strict=True)]
         wrong[cutoff_hz] = np.sqrt(np.mean(np.square(apart)))
-        named = forgotten(circuit, spans)
+        named = truncated_memory(circuit, spans)
         assert (len(named) > 0) == (wrong[cutoff_hz] > 0.025), wrong
     assert 0.2 < wrong[1.0] < 0.4
-    assert forgotten(find_model("dvs128").circuit(), spans) == ()
+    assert truncated_memory(find_model("dvs128").circuit(), spans) == ()
     assert set(Circuit.__dataclass_fields__) >= MODELLED

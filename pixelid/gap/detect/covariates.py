@@ -80,7 +80,7 @@ def sort_events(
     for name, value, slices, words in (
         ("time in the recording", time, TIMES, "at {:.3g}–{:.3g} s".format),
         ("time since the last event", time - last, WAITS, _after_the_last),
-        ("log radiance", light, LIGHTS, "at log radiance {:.3g}–{:.3g}".format),
+        ("log radiance", light, LIGHTS, lambda low, high: f"at radiance {np.exp(low):.3g}–{np.exp(high):.3g}"),
         ("speed of the change", speed, SPEEDS, "at log speed {:.3g}–{:.3g}".format),
     ):
         known = next((f.cuts for f in like if f.name == name), None)
@@ -99,7 +99,9 @@ def _levels(likelihood: EventTimes) -> tuple[np.ndarray, list[str]]:
     new = np.concatenate([[0], np.cumsum(np.diff(np.log(typical[order])) > np.log(SAME_LEVEL))])
     level = np.empty(len(typical), np.int64)
     level[order] = new
-    return level, [f"radiance about {typical[level == k].mean():.3g}" for k in range(int(new[-1]) + 1)]
+    units = {r.stimulus.unit for r in likelihood.recordings if r.stimulus is not None}
+    unit = f" {units.pop()}" if len(units) == 1 and not units & {"relative", "shape"} else ""
+    return level, [f"radiance about {typical[level == k].mean():.3g}{unit}" for k in range(int(new[-1]) + 1)]
 
 
 def _place(likelihood: EventTimes, time: np.ndarray) -> Factor:

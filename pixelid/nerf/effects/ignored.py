@@ -48,7 +48,7 @@ def ignored_effects(circuit: Circuit) -> tuple[str, ...]:
     return (*names, *sorted(acting))
 
 
-def forgotten(circuit: Circuit, every: Intervals) -> tuple[str, ...]:
+def truncated_memory(circuit: Circuit, every: Intervals) -> tuple[str, ...]:
     """What a lower cutoff remembers from before the chains of events, in words, where it would matter.
 
     A chain begins in the steady state of its first light.  What the high-pass still held of lights before would go at

@@ -160,7 +160,7 @@ def search(
             break
         best, here = rivals[outcome[0]], outcome[1]
         if names[best] in ADDITIONS and ADDITIONS[names[best]].of_events:
-            here = bench.sought(here, names[best])
+            here = bench.line_search(here, names[best])
         kept.append((names[best], trials[best]))
         names = tuple(name for k, name in enumerate(names) if k != best)
     if not kept:
@@ -279,7 +279,7 @@ class _Bench:
         which = next(k for k, share in shares.items() if share > max(shares.values()) - TIE)
         return which, at[which]
 
-    def sought(self, here: _Place, name: str) -> _Place:
+    def line_search(self, here: _Place, name: str) -> _Place:
         """Where a strength explains held-out events best; it is held from here on.
 
         With and without a factor scenes are trained as long.  Trained with them, a strength would go back before the

@@ -8,13 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from pixelid.figures.style import INK, OFF, ON, legend_above, new_axes, save_figure, series_colours, styled
+from pixelid.figures.style import INK, MOST_WIDTH, OFF, ON, legend_above, new_axes, save_figure, series_colours, styled
 from pixelid.nerf.reconstruct import Reconstruction
 from pixelid.nerf.shown.beside import write_slider
 from pixelid.nerf.shown.figures import hide_ticks_and_frames
 from pixelid.nerf.training.residuals import Left
 
 SHOWN = 5
+TITLE_HEIGHT = 0.25  # inches, of a line of text
 
 
 def write_figures(result: Reconstruction, folder: Path) -> None:
@@ -39,7 +40,8 @@ def draw_views(result: Reconstruction, axes: Any = None) -> Any:
     truth, images = result.truth.images, result.scores.images
     which = np.unique(np.linspace(0, len(truth) - 1, min(SHOWN, len(truth))).astype(int))
     if axes is None:
-        axes = new_axes(3, len(which), 2.9, 2.2)
+        width = min(2.9, MOST_WIDTH / len(which))
+        axes = new_axes(3, len(which), width, 0.9 * width * truth.shape[1] / truth.shape[2] + TITLE_HEIGHT)
     peak = result.truth.peak
     for column, k in enumerate(which):
         error = np.abs(images[k] - np.clip(truth[k], 0, peak)).mean(axis=-1)

@@ -11,6 +11,8 @@ the usual one's.
 Stopping.  In the last stage, whose resolution stays as it is (but in runs shorter than 95 steps above 160 cells per
 side), the held-out loss is looked at `LOOKS` times, always of the same rows.
 
+short    A training of fewer than `recipe.LEAST_STEPS` steps has converged where those that are missing would win less
+         than `LEAST_SHARE` by the same line.
 kept     The last state that is not demonstrably worse than the best one: the best explains more by chance in less than
          `ALPHA`, all looks so far together (Bonferroni), for the best was chosen among them.  A state later in the
          decay of the learning rate has less of the noise of its steps, so that a tie is the later one's.
@@ -179,12 +181,16 @@ class Stopping:
         if best == last or (math.isfinite(look.loss) and gain.p_value * last >= ALPHA):
             self.kept, self.scene = last, scene
 
-    def to_gain(self) -> float:
-        """Upper limit of the share of the held-out loss that the looks which are left can win; infinite so far."""
+    def to_gain(self, beyond: int = 0) -> float:
+        """Upper limit of the share of the held-out loss that the steps which are left can win; infinite so far.
+
+        beyond: further steps after the last look.
+        """
         if len(self.looks) < WINDOW or self.steps[1] - self.steps[0] < APART:
             return float("inf")
         losses = np.stack([look.losses for look in self.looks[-WINDOW:]])
-        return most_gained(losses, len(self.steps) - len(self.looks), ALPHA)
+        ahead = len(self.steps) - len(self.looks) + beyond / (self.steps[1] - self.steps[0])
+        return most_gained(losses, ahead, ALPHA)
 
     @property
     def stopped(self) -> bool:

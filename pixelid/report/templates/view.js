@@ -22,7 +22,7 @@ const CONTROLS = [
   ["off", "OFF threshold", () => 0.03, () => 1, x => x.toPrecision(2)],
   ["noise", "Threshold noise", null, () => 0.3, x => `${(100 * x).toPrecision(2)} %`],
   ["dead", "Dead time", () => 1e-6, () => 0.1, x => prefixed(x, "s"), true],
-  ["leak", "Leak", () => 0.01, () => 100, hertz, true],
+  ["leak", "Leak", () => 0.01, () => 100, x => `${+x.toPrecision(3)} events/s`, true],
   ["dark", "Dark current", p => p.level / 1000, p => p.level * 100, x => `${short(x)} ${state.unit}`, true],
 ].map(([field, label, low, high, written, zero]) => ({ field, label, low, high, written, zero }));
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from pixelid.biases.saved import Quantity
-from pixelid.figures.style import INK, MUTED, new_axes, series_colours, styled
+from pixelid.figures.style import INK, MUTED, legend_above, new_axes, series_colours, styled
 from pixelid.figures.words import with_unit
 from pixelid.tables.fit import SUSPECT_SCALES
 
@@ -40,7 +40,9 @@ def draw_law(name: str, entry: Mapping[str, Any], quantity: Quantity | None, axe
         mine = level == one
         label = f"{codes[1]} {one:g}" if len(codes) > 1 else None
         top.plot(x[mine], y[mine], "o", markersize=3, color=colour, label=label)
-        bottom.plot(x[mine], np.clip(z[mine], -MOST_RESIDUAL, MOST_RESIDUAL), "o", markersize=3, color=colour)
+        for marker, some in (("o", abs(z) <= MOST_RESIDUAL), ("^", z > MOST_RESIDUAL), ("v", z < -MOST_RESIDUAL)):
+            shown = np.clip(z[mine & some], -MOST_RESIDUAL, MOST_RESIDUAL)
+            bottom.plot(x[mine & some], shown, marker, markersize=3, color=colour)
         if quantity is None:
             ends = np.array([row["interval_95"] for row in rows], float)[mine]
             middle = fit[mine]
@@ -52,12 +54,12 @@ def draw_law(name: str, entry: Mapping[str, Any], quantity: Quantity | None, axe
             top.plot(fine, at["value"], color=colour, linewidth=0.8)
             top.fill_between(fine, at["low"], at["high"], color=colour, alpha=0.2, linewidth=0)
     if len(codes) > 1:
-        top.legend()
+        legend_above((top, bottom))
     if y.max() > 5.0 * y.min():
         top.set_yscale("log")
     top.set_ylabel(with_unit(name, entry["unit"]))
     top.set_ylim(0.7 * y.min(), 1.4 * y.max())
     bottom.axhspan(-SUSPECT_SCALES, SUSPECT_SCALES, color=MUTED, alpha=0.15, linewidth=0)
     bottom.axhline(0.0, color=INK, linewidth=0.6)
-    bottom.set(xlabel=codes[0], ylabel="residual (scales)", ylim=(-MOST_RESIDUAL - 1.0, MOST_RESIDUAL + 1.0))
+    bottom.set(xlabel=codes[0], ylabel="residual (σ)", ylim=(-MOST_RESIDUAL - 1.0, MOST_RESIDUAL + 1.0))
     return top, bottom

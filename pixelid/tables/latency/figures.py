@@ -38,6 +38,9 @@ def draw_latency(rows: Sequence[Mapping[str, Any]], axes: Any = None) -> Any:
         axis.set_title(f"{camera}, light {'on' if edge == -1 else 'off'}")
         axis.set_ylabel("median latency (µs)")
         axis.set_xlabel("irradiance (W/m²)")
+    ends = np.array([axis.get_ylim() for axis in axes[: len(panels)]])
+    for axis in axes[: len(panels)]:  # cameras and edges are compared
+        axis.set_ylim(ends[:, 0].min(), ends[:, 1].max())
     for axis in axes[len(panels) :]:
         axis.set_axis_off()
     legend_above(axes, 6, "setting")
@@ -57,7 +60,7 @@ def draw_limits(limits: Sequence[Mapping[str, Any]], axes: Any = None) -> Any:
             axis.semilogx(x, y, "o-", markersize=3, color=colour, label=stage.replace("_", " "))
         axis.set_title(f"{panel[0]}, light {panel[1]}")
         axis.set_xlabel("irradiance (W/m²)")
-        axis.set_ylabel("share of latency (%)")
+        axis.set(ylabel="share of latency (%)", ylim=(-3.0, 103.0))
     for axis in axes[len(panels) :]:
         axis.set_axis_off()
     legend_above(axes, 4)
