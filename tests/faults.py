@@ -80,7 +80,18 @@ LONGER = COMMANDS | {
     "sensor": COMMANDS["sensor"].replace("none", "sf_cutoff_hz"),
 }
 KILLED = ("convert to .h5", "sensor", "fit --sample", "gap", "reconstruct", "calibrate")
-INTERRUPTED = ("fit", "fit --sample", "gap", "calibrate", "sensor", "reconstruct", "convert to .h5", "simulate", "design", "rates")
+INTERRUPTED = (
+    "fit",
+    "fit --sample",
+    "gap",
+    "calibrate",
+    "sensor",
+    "reconstruct",
+    "convert to .h5",
+    "simulate",
+    "design",
+    "rates",
+)
 NOISE = "lux,ON_events_per_s_per_px,OFF_events_per_s_per_px\n1,2.5,0.1\n10,0.5,0.05\n100,0.125,0.02\n1000,0.1,0.01\n"
 RATES = "freq_hz,slow,fast\n1,70,80\n5,200,300\n10,300,500\n50,100.5,200\n100,20,80\n200,3,30\n"
 LATENCY = "camera,lens,polarity,irradiance_W_m2,bias_config,median,stdev,pixels\nCAM3,f2,1,0.05,0,210,3,100\n"
