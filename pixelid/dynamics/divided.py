@@ -3,8 +3,7 @@
     exp[z1, …, zn] = ∫ exp(t1 z1 + … + tn zn) over the simplex      (Hermite-Genocchi)
 
 is the value at time one of the inverse Laplace transform of 1/((s − z1) … (s − zn)): the impulse response of a
-chain of first-order stages, whether or not their poles coincide.  `hold.py` writes every coefficient of the
-discretised pixel with it.
+chain of first-order stages, whether or not their poles coincide.
 
 Two formulas cover all nodes, after McCurdy, Ng & Parlett, Mathematics of Computation 43, 1984:
 
