@@ -56,7 +56,7 @@ class Statement:
 
 @dataclass(frozen=True)
 class Option:
-    """One field of an options class.  kind: "bool", "int", "float", "str", "Path", "words" or "numbers"."""
+    """One field of an options class.  kind: a word of `_checked`."""
 
     name: str
     kind: str
@@ -77,7 +77,8 @@ def options_of(cls: type) -> tuple[Option, ...]:
 
 def _kind(annotation: str) -> str:
     first = annotation.split(" | ")[0]
-    return {"tuple[str, ...]": "words", "tuple[float, ...]": "numbers"}.get(first, first)
+    kinds = {"tuple[str, ...]": "words", "tuple[float, ...]": "numbers", "tuple[int, ...]": "wholes"}
+    return kinds.get(first, first)
 
 
 class Checked:
@@ -110,6 +111,9 @@ def _checked(of: Option, value: Any) -> Any:
         return tuple(one_of(name, word, stated.choices) for word in value)
     if of.kind == "numbers":
         return numbers(name, value, stated.count, least=stated.low)
+    if of.kind == "wholes":
+        numbers(name, value, stated.count)
+        return tuple(whole_number(name, one, int(stated.low), int(stated.high)) for one in value)
     if of.kind == "int":
         if stated.word and isinstance(value, str) and value == stated.word:
             return value

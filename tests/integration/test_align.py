@@ -214,25 +214,6 @@ def test_two_offsets_as_good_as_each_other_are_refused(tmp_path, capsys):
     assert not (tmp_path / "out.h5").exists()
 
 
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (["--align", "auto"], "--stimulus"),
-        (["--stimulus", "steps", "--align", "soon"], "--align: expected trigger"),
-        (["--stimulus", "constant", "--align", "auto"], "constant"),
-        (["--stimulus", "steps"], "--align"),
-        (["--roi", "0,0,9,9"], "--roi"),
-        (["--roi", "a"], "x0,y0,x1,y1"),
-        (["--time", "2:1"], "--time"),
-    ],
-)
-def test_what_cannot_be_done_is_said(session, tmp_path, capsys, words, says):
-    folder, _ = session
-    assert run(["convert", str(folder / "camera.h5"), str(tmp_path / "out.h5"), *words]) == 2
-    assert says in capsys.readouterr().err
-    assert not (tmp_path / "out.h5").exists()
-
-
 def test_crops(session):
     _, recording = session
     events = recording.events

@@ -674,23 +674,6 @@ def test_command_writes_what_it_promises(tmp_path):
     assert find_model(out / "model.toml").effects == MODEL.effects
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (["--with", "leek"], "leek"),
-        (["--without", "threshold_noise"], "threshold_noise"),
-        (["--alpha", "0.9"], "alpha"),
-    ],
-)
-def test_bad_input(tmp_path, capsys, options, words):
-    recording = session(MODEL, side=2, lights={"slow_24": slow(24.0, seed=2)})[0]
-    write_recording(recording, tmp_path / "r.h5")
-    out = tmp_path / "gap"
-    assert main(["gap", str(tmp_path / "r.h5"), "--model", "dvs128", "--out", str(out), "--quiet", *options]) == 2
-    assert words in capsys.readouterr().err
-    assert not out.exists()
-
-
 def test_pooled_and_empty_recordings_are_refused():
     light = slow(24.0, seed=2)
     with pytest.raises(InputError, match="100 events"):

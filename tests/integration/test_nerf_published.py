@@ -19,6 +19,7 @@ from pixelid.nerf.data.published import esim, esim_flags, tumvie
 from pixelid.nerf.data.published.undistort import pinhole_of, undistorted
 from pixelid.nerf.data.scenes import procedural
 from pixelid.nerf.data.trajectory import Trajectory
+from pixelid.nerf.options import DatasetOptions
 from pixelid.nerf.synthetic import SETTINGS
 from pixelid.stages.photoreceptor import NOMINAL
 
@@ -649,7 +650,7 @@ def peak_bytes_of_events(folder: Path, copies: int, truth, monkeypatch) -> int:
             held.append(tracemalloc.get_traced_memory()[1])
 
     tracemalloc.start()
-    kept = convert(folder, "eds", folder / "out", views=0, progress=progress).content["events"]["kept"]
+    kept = convert(folder, "eds", folder / "out", DatasetOptions(views=0), progress).content["events"]["kept"]
     tracemalloc.stop()
     assert kept == len(order)
     return held[-1] - held[0]

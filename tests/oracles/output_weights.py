@@ -30,8 +30,8 @@ def output_weights(
     """Weights (S, N) of the log radiance (S, N) in the output at the last sample, for N pixels at once.
 
     dt_s: (S−1, N) seconds between samples, ≥ 0 (0: a jump);  radiance: (S, N), > 0, any one unit;
-    output: a stage but the lower cutoff, never reset;  linearisation: at the "newer" sample of each step (as in the paper)
-    or at its "midpoint" (second order in the step).
+    output: a stage but the lower cutoff, never reset;  linearisation: at the "newer" sample of each step (as in the
+    paper) or at its "midpoint" (second order in the step).
 
     past: what stands for the light before the first sample.
         "normalised"  nothing; the weights are rescaled to sum to one (the paper).

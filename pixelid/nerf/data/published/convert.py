@@ -20,6 +20,7 @@ from pixelid.nerf.data.published.posed_views import copy_views, write_pictures
 from pixelid.nerf.data.published.source import Block, Source
 from pixelid.nerf.data.published.window import Window, window_of
 from pixelid.nerf.data.views import CONVERTED, RENDERER
+from pixelid.nerf.options import DatasetOptions
 from pixelid.provenance import provenance
 from pixelid.results import Table, WrittenResult
 from pixelid.status import Status
@@ -70,16 +71,7 @@ def convert(
     path: Path,
     kind: str,
     folder: Path,
-    *,
-    start: float | None = None,
-    end: float | None = None,
-    every: int = 1,
-    views: int = 40,
-    camera: str = "",
-    time_offset: float = 0.0,
-    thresholds: tuple[float | None, float | None] = (None, None),
-    dead_time: float | None = None,
-    seed: int = 0,
+    asked: DatasetOptions,
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> Conversion:
     """Write a dataset of a published sequence.
@@ -88,15 +80,7 @@ def convert(
         path: of the sequence.
         kind: its layout: "esim", "eds" or "tumvie".
         folder: an empty one, which is filled.
-        start: s after the first pose; the beginning by default.
-        end: s after the first pose; the end by default.
-        every: keep one pixel in so many, with all of its events: a pixel that misses events is not understood.
-        views: at most so many pictures, spread over the time kept; posed views of the sequence's own are all taken.
-        camera: which of the sequence's cameras, by default its first.
-        time_offset: s, added to the times of the events.
-        thresholds: ON and OFF, in place of those known or assumed.
-        dead_time: s, in place of that known.
-        seed: of the pixels kept.
+        asked: what is kept, and stated.
         progress: called with what is done and the fraction.
 
     Returns:
@@ -106,17 +90,19 @@ def convert(
         InputError: naming file and field that are missing or wrong.
     """
     watch = time.perf_counter()
-    source = LAYOUTS[kind](path, camera)
-    window = window_of(source.poses, start, end)
-    kept = _pixels(source.camera, every, seed)
+    thresholds = asked.on_threshold, asked.off_threshold
+    source = LAYOUTS[kind](path, asked.camera)
+    window = window_of(source.poses, asked.start, asked.end)
+    kept = _pixels(source.camera, asked.every, asked.seed)
     progress("views", 0.0)
-    number = _views(folder, source, window, views)  # first: what is wrong with them is said before all events are read
-    counts, rate, events = _write_events(folder, source, window, kept, round(time_offset * 1e9), progress)
+    # first: what is wrong with them is said before all events are read
+    number = _views(folder, source, window, asked.views)
+    counts, rate, events = _write_events(folder, source, window, kept, round(asked.time_offset * 1e9), progress)
     np.savez(
         folder / POSES, T_wc_position=window.poses.position, T_wc_orientation=window.poses.orientation,
         T_wc_timestamp=window.poses.t - window.begin,
     )  # fmt: skip
-    pixel = _pixel(source, thresholds, dead_time)
+    pixel = _pixel(source, thresholds, asked.dead_time)
     which: dict[str, Any] = {} if kept is None else {layout.KEPT: kept}
     np.savez(folder / layout.FILE, **_geometry(source.camera), **pixel, **which)
     if source.renderer is not None:
@@ -129,8 +115,8 @@ def convert(
         "events": events,
         "duration_s": (window.end - window.begin) * 1e-9,
         "start_s": (window.begin - int(source.poses.t[0])) * 1e-9,
-        "every": every,
-        "time_offset_s": time_offset,
+        "every": asked.every,
+        "time_offset_s": asked.time_offset,
         "poses": {"kept": len(window.poses.t), "longest_step_s": float(np.diff(window.poses.t).max()) * 1e-9},
         "views": number,
         "sensor": {
@@ -143,7 +129,7 @@ def convert(
         },
         "notes": [*window.notes, *_notes(source, thresholds, known, number)],
         "seconds": time.perf_counter() - watch,
-        "seed": seed,
+        "seed": asked.seed,
         **provenance(*source.files),
     }  # fmt: skip
     return Conversion(content, counts, rate)
