@@ -119,9 +119,13 @@ def _checked(of: Option, value: Any) -> Any:
             return value
         or_else = f" or {stated.word!r}" if stated.word else ""
         return whole_number(name, value, int(stated.low), int(stated.high), or_else)
-    return number(name, value, above=stated.above, least=stated.low) if of.kind == "float" else one_of(
-        name, value, stated.choices
-    )  # fmt: skip
+    if of.kind == "float":
+        return number(name, value, above=stated.above, least=stated.low)
+    if stated.choices:
+        return one_of(name, value, stated.choices)
+    if not isinstance(value, str):
+        raise InputError(f"{name}: expected text, found {shown(value)}")
+    return value
 
 
 def takes(cls: type) -> Callable[[F], F]:
