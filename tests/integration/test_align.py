@@ -21,7 +21,7 @@ from pixelid.recordings import open_recording, write_recording
 from pixelid.recordings.alignment import aligned, find_alignment
 from pixelid.recordings.crop import Crop
 from pixelid.recordings.triggers import Triggers
-from pixelid.sample.target import Target
+from pixelid.sample.sample import Target
 from pixelid.simulate import simulate
 from pixelid.stimuli import shapes
 from pixelid.stimuli.files import load_stimulus

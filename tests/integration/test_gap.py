@@ -28,7 +28,7 @@ from pixelid.gap.detect.maps import map_residuals
 from pixelid.gap.detect.residuals import Tangents, residuals, tangents
 from pixelid.gap.gap import gap
 from pixelid.gap.imputation.draws import draw_times
-from pixelid.gap.imputation.jitter import uneven
+from pixelid.gap.imputation.imputed import uneven
 from pixelid.gap.imputation.windows import jitter_windows, queue_windows, with_times
 from pixelid.gap.options import Context, Options
 from pixelid.gap.phases import Phase

@@ -16,7 +16,7 @@ from pixelid.errors import InputError
 from pixelid.nerf.data.camera import Camera
 from pixelid.nerf.data.dataset import read_dataset
 from pixelid.nerf.data.published import esim, esim_flags, tumvie
-from pixelid.nerf.data.published.undistort import pinhole_of, undistorted
+from pixelid.nerf.data.published.posed_views import pinhole_of, undistorted
 from pixelid.nerf.data.scenes import procedural
 from pixelid.nerf.data.trajectory import Trajectory
 from pixelid.nerf.options import DatasetOptions
@@ -518,7 +518,7 @@ def test_views_are_refused_before_events_are_read(wrong, views, says, tmp_path, 
     monkeypatch.setitem(convert.LAYOUTS, "esim", lambda path, camera: source)
     (tmp_path / "out").mkdir()
     with pytest.raises(AssertionError if wrong == "nothing" and views == 2 else InputError, match=says):
-        convert.convert(tmp_path, "esim", tmp_path / "out", views=views)
+        convert.convert(tmp_path, "esim", tmp_path / "out", DatasetOptions(views=views))
 
 
 def test_a_single_picture_is_refused(truth, tmp_path, capsys):

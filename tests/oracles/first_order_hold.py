@@ -7,7 +7,7 @@ the cost.
 
 Derivation.  With time in units of the step (λ_i: a pole × Δt, w_i: a cutoff × Δt), what state j sends to state i
 is the inverse Laplace transform at 1 of  gain · N(s) / Π (s − λ), over the poles of the stages j … i.  For N = 1
-that is the divided difference f[λ_j … λ_i] of the exponential (`dynamics/divided.py`), gain Π w of the stages after j.
+that is the divided difference f[λ_j … λ_i] of the exponential (`lowlight/response.py`), gain Π w of the stages after j.
 
 Zeros.  N(s)/Π(s − λ) is expanded by dropping one pole:  (s − ν) = (s − λ_k) + (λ_k − ν).
     s (slope of y, and passage through the lower cutoff's high-pass):  f[λ∖k] + λ_k f[λ], with k the slowest pole,
@@ -31,9 +31,9 @@ import numpy as np
 from numba import njit
 
 from pixelid.dynamics.continuous import present_states
-from pixelid.dynamics.divided import difference
 from pixelid.dynamics.equations import photoreceptor_rates
 from pixelid.dynamics.trajectory import Dynamics
+from pixelid.lowlight.response import difference
 
 
 class Hold(NamedTuple):

@@ -7,8 +7,8 @@ from oracles.exact_hold import exact_hold
 from oracles.first_order_hold import first_order_hold
 
 from pixelid.dynamics.continuous import present_states
-from pixelid.dynamics.divided import exp_divided_difference
 from pixelid.dynamics.trajectory import Dynamics
+from pixelid.lowlight.response import exp_divided_difference
 
 GAPS = (0.0, 1e-15, 1e-13, 1e-11, 1e-9, 1e-7, 1e-5, 1e-3, 1e-2)
 UNDERFLOW = 1e-290

@@ -23,11 +23,10 @@ from pixelid.provenance import provenance
 from pixelid.results import ContentResult, Table, interval, number
 from pixelid.statistics import Z95
 from pixelid.status import Status
-from pixelid.tables.biases.cutoffs import is_rates, read_cutoffs
 from pixelid.tables.biases.figures import draw_law
 from pixelid.tables.biases.fit import FittedLaw, departure_variance, fit_laws, natural_values
 from pixelid.tables.biases.mismatch import mismatch_sentences, of_maps, of_spreads
-from pixelid.tables.biases.reading import BiasTable, Stated, read_bias_tables
+from pixelid.tables.biases.reading import BiasTable, Stated, is_rates, read_bias_tables, read_cutoffs
 from pixelid.tables.fit import SUSPECT_SCALES, misses
 from pixelid.tables.result import open_sentences
 
