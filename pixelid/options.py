@@ -71,8 +71,9 @@ def option(default: Any, help: str, **stated: Any) -> Any:
 
 
 def options_of(cls: type) -> tuple[Option, ...]:
-    """The fields of an options class, in order."""
-    return tuple(Option(f.name, _kind(str(f.type)), f.default, str(f.type), f.metadata["stated"]) for f in fields(cls))
+    """The fields of an options class that state something, in order."""
+    stated = [f for f in fields(cls) if "stated" in f.metadata]
+    return tuple(Option(f.name, _kind(str(f.type)), f.default, str(f.type), f.metadata["stated"]) for f in stated)
 
 
 def _kind(annotation: str) -> str:

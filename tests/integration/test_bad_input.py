@@ -308,7 +308,7 @@ def test_bad_usage_is_refused(case, tmp_path, capsys):
         ('[fit]\nrecordings = "good.h5"\nmodel = "dvs128"', "list of strings"),
         ('[fit]\nrecordings = ["gone.h5"]\nmodel = "dvs128"', "gone.h5: no such file"),
         ('[fit]\nrecordings = ["good.h5"]\nmodel = "dvs128"\nspeed = 1', "unknown keys speed"),
-        ('[fit]\nrecordings = ["good.h5"]\nmodel = "dvs128"\nseed = "x"', "seed must be a whole number"),
+        ('[fit]\nrecordings = ["good.h5"]\nmodel = "dvs128"\nseed = "x"', "seed: expected a whole number"),
         ('[fit]\nrecordings = ["good.h5"]\nmodel = "dvs128"\nbetween = "cubic"', "cubic"),
         ('[fit]\nrecordings = []\nmodel = "dvs128"', "recording"),
     ],
