@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from pixelid.inputs import RecordingsLike
     from pixelid.recordings.recording import Recording
 
-ROWS_SHOWN = 18  # of each table, in a `repr`: with headings and a few sentences one screen of 24 lines
 SENTENCES_SHOWN = 4
 WIDTH_SHOWN = 110
 
@@ -191,7 +190,8 @@ class Result(ABC):
         sentences = list(self.sentences())
         hidden = len(sentences) - SENTENCES_SHOWN
         shown = sentences[:SENTENCES_SHOWN] + ([f"… {hidden} more in .summary()"] if hidden > 0 else [])
-        return _text(self.headline, list(self.tables())[:1], [_cut(s) for s in shown], ROWS_SHOWN)
+        rows_shown = 18  # of each table, in a `repr`: with headings and a few sentences one screen of 24 lines
+        return _text(self.headline, list(self.tables())[:1], [_cut(s) for s in shown], rows_shown)
 
     def _repr_html_(self) -> str:
         return html_page(self.headline, list(self.tables())[:1], self.sentences())

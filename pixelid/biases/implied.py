@@ -41,7 +41,6 @@ SPLITTER_SD, LEAKAGE_A, MASTER_SD = 0.25, 1e-12, 0.2
 KAPPA_SD, GAIN_SD = 0.1, 0.2
 RESET_CAPACITOR_SD, RESET_SWING_SD = 0.4, 0.2
 LOAD_SD, TRANSCONDUCTANCE_SD, TEMPERATURE_SD = 0.2, 0.2, 0.07
-LIMITED_BY_FOLLOWER = 0.5  # of the photoreceptor's current: beyond, the follower alone does not make the cutoff
 UNITS = {"on_threshold": "log radiance", "off_threshold": "log radiance", "refractory_s": "s", "sf_cutoff_hz": "Hz"}
 
 
@@ -165,7 +164,8 @@ def _cutoff(currents: Currents) -> Value | str:
     if missing:
         return missing
     current, before = currents.roles["follower"], currents.roles["photoreceptor"]
-    if current.ampere >= LIMITED_BY_FOLLOWER * before.ampere:
+    limited_by_follower = 0.5  # of the photoreceptor's current: beyond, the follower alone does not make the cutoff
+    if current.ampere >= limited_by_follower * before.ampere:
         return (
             f"{current.setting} is {current.ampere / before.ampere:.3g} × {before.setting}, half of it or more: "
             "the source follower does not make the cutoff alone"

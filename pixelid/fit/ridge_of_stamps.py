@@ -21,10 +21,7 @@ from pixelid.fit.uncertainty.profiles import at_fixed
 from pixelid.likelihood.stamps import Bend
 
 NEARBY = 0.1  # of a standard error, over which slopes are taken
-NEGLIGIBLE = 0.05  # of a standard error, by which the maximum would move
 LARGEST = 0.3  # of a step along the ridge, in the coordinate's longest moves
-MOST_STEPS = 12
-KNOWN_FROM = 0.5  # nats by which the profile has fallen on both sides, so that its parabola is known
 
 
 @dataclass(frozen=True)
@@ -116,7 +113,8 @@ def _leads(objective: EventTimesObjective, x: np.ndarray, covariance: np.ndarray
         if len(values) == 2:
             differs[i] = (values[0] - values[1]) / (2.0 * NEARBY * steps[i])
     moves = np.abs(covariance @ differs) / sd
-    if moves[differs != 0.0].max(initial=0.0) < NEGLIGIBLE:
+    negligible = 0.05  # of a standard error, by which the maximum would move
+    if moves[differs != 0.0].max(initial=0.0) < negligible:
         return None
     return int(np.argmax(np.where(differs != 0.0, sd / objective.coordinates.longest_moves(), 0.0)))
 
@@ -138,12 +136,14 @@ def _climbed(
         points[move] = at_fixed(objective, start, i)
         return bool(np.isfinite(points[move][0]))
 
-    for _ in range(MOST_STEPS):
+    most_steps = 12
+    known_from = 0.5  # nats by which the profile has fallen on both sides, so that its parabola is known
+    for _ in range(most_steps):
         moves = sorted(points)
         top = max(points, key=lambda move: points[move][0])
         sides = [
             sign for sign, far in ((-1, moves[0]), (1, moves[-1]))
-            if points[far][0] > points[top][0] - KNOWN_FROM
+            if points[far][0] > points[top][0] - known_from
         ]  # fmt: skip
         if not sides:
             break

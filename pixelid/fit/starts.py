@@ -16,7 +16,6 @@ from pixelid.stimuli.stimulus import Stimulus
 SILENCE = "dead_time_without_reset.s"
 LOST, SCATTER, THRESHOLDS = "lost_events.fraction", "threshold_sigma", ("on_threshold", "off_threshold")
 LATEST_S, LAG_S = 2e-3, 1e-4  # of a delay either way, and its steps
-WIDER = 2.0  # times what most levels say; at the true optimum 1, at the other 5 or more
 
 
 def feasible(model: Model, likelihood: EventTimes) -> Model:
@@ -60,7 +59,8 @@ def narrower(model: Model, likelihood: EventTimes) -> Model | None:
     if LOST not in model.free or SCATTER not in model.free:
         return None
     said = feasible(model, likelihood).values
-    if model.values[SCATTER] < WIDER * said[SCATTER]:
+    wider = 2.0  # times what most levels say; at the true optimum 1, at the other 5 or more
+    if model.values[SCATTER] < wider * said[SCATTER]:
         return None
     return model.set({name: said[name] for name in (*THRESHOLDS, SCATTER) if name in model.free})
 

@@ -39,7 +39,6 @@ from pixelid.recordings.sensor_light import is_measured
 
 BETWEEN = "light_between_samples"  # attribute of a recording: what `told` found of all its pixels
 LEAST_NOISE = 0.02  # of a threshold, s/C at least: no sensor is known below
-MOST_TELLING = 20_000  # events that tell v and s²: enough for 1 % of them
 STARTS = (0.5, 0.005)  # of v in squared thresholds, a rough light and a smooth one
 CERTAIN = 30.0  # x, from which the path never falls back to its beginning
 FAR = -5.0  # x, from which it seldom leaves it
@@ -173,7 +172,8 @@ def told(recording: Recording) -> Told | None:
     if len(intervals) < len(STARTS) + 2:
         return Told(0.0, LEAST_NOISE**2)
     gaps, on = _together([gaps_of(section) for section in sections]), intervals.sign > 0
-    every = slice(None, None, max(len(on) // MOST_TELLING, 1))
+    most_telling = 20_000  # events that tell v and s²: enough for 1 % of them
+    every = slice(None, None, max(len(on) // most_telling, 1))
     gaps, on = Gaps(*(row[every] for row in gaps)), on[every]
     usual = max(float(np.median(np.abs(gaps.level))), 1e-3)
 

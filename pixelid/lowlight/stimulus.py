@@ -10,7 +10,6 @@ from pixelid.stimuli.drive import knots
 from pixelid.stimuli.stimulus import Stimulus
 
 MIN_CYCLES = 6
-MIN_EDGES = 3
 SMALLEST_STEP = 0.2  # log radiance
 
 
@@ -90,7 +89,8 @@ def _steps(t: np.ndarray, u: np.ndarray) -> Steps | None:
         return None
     keep = np.abs(change) >= SMALLEST_STEP
     first, last, change = first[keep], last[keep], change[keep]
-    if len(first) < MIN_EDGES:
+    min_edges = 3
+    if len(first) < min_edges:
         return None
     middle = np.empty(len(first))
     for i, (a, b) in enumerate(zip(first, last, strict=True)):

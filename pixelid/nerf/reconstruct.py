@@ -41,7 +41,6 @@ from pixelid.status import Status
 if TYPE_CHECKING:
     from pixelid.recordings.recording import Recording
 
-LEARNED = 0.9  # share of held-out changes left unexplained, above which the field explains too little
 # Standard deviations of a fit from which on a trained threshold contradicts it: the scene's contrast, which events tell
 # from a threshold hardly, has taken it along
 MOST_FAR = 5.0
@@ -371,7 +370,8 @@ def _verdict(
             "nothing was judged: only one pixel has two events, and the scene was trained on them; take a recording in "
             "which more pixels fire"
         )
-    if held_out > LEARNED:
+    learned = 0.9  # share of held-out changes left unexplained, above which the field explains too little
+    if held_out > learned:
         return Status.misfit, (
             f"{held_out:.2f} of what events of held-out pixels show is unexplained (1 would be no scene): "
             "check poses, polarity, thresholds and --box, or train longer"

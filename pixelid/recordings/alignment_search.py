@@ -27,7 +27,6 @@ from pixelid.stimuli.stimulus import Stimulus
 MOST_BINS = 1 << 21  # of the correlation, 16 MiB a transform
 WIDEST_BIN_S = 2e-3  # that leads to the right start: refinements move by as much
 MOST_EVENTS = 300_000  # sorted by pixel
-SCREENED = 600  # by which starts are chosen
 CANDIDATES = 8  # peaks of the correlation
 SCANNED = 6_000  # offsets of the scan: each half a bin of a chirp to 300 Hz over a second
 MOST_LIGHTS = 8  # of pixels' own, those with most events: more would tell no other offset
@@ -170,7 +169,8 @@ def optima(changes: Changes, light: LogLight, peaks: np.ndarray) -> tuple[list[R
 
 def _best_starts(changes: Changes, light: LogLight, peaks: np.ndarray) -> list[tuple[float, np.ndarray]]:
     """The best few (begin, parameters) of candidates × filters × shifts, thresholds by medians."""
-    few = changes.select(slice(None, None, max(1, len(changes.time) // SCREENED)))
+    screened = 600  # by which starts are chosen
+    few = changes.select(slice(None, None, max(1, len(changes.time) // screened)))
     on = few.sign > 0
     scored = []
     for start, filtered in zip(STARTS, light.filtered(STARTS[:, :4]), strict=True):

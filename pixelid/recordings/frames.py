@@ -22,7 +22,6 @@ from pixelid.stimuli.stimulus import Stimulus
 
 NOTHING = 0.5  # stands for grey level 0, since light is positive
 FULL = {"L": 255, "L16": 65535}  # grey level that clips, by the format of the frames
-LEAST_ABOVE_DARK = 1.0  # grey level above `dark` that tells a light: rounding is 0.3 of a level
 MOST_VALUES = 250_000_000  # of all frames in memory, 1 GB
 
 
@@ -78,7 +77,8 @@ def with_frames(recording: Recording, dark: float = 0.0) -> Recording:
         raise InputError(f"{path}: frames: expected {events.width} x {events.height} pixels, as of the events")
     levels = np.maximum(levels.reshape(len(levels), -1), NOTHING).astype(np.float32)
     lowest, highest = levels.min(axis=0), levels.max(axis=0)
-    lit = np.flatnonzero((lowest - dark >= LEAST_ABOVE_DARK) & (highest < shown["full"]))
+    least_above_dark = 1.0  # grey level above `dark` that tells a light: rounding is 0.3 of a level
+    lit = np.flatnonzero((lowest - dark >= least_above_dark) & (highest < shown["full"]))
     if not len(lit):
         raise InputError(f"{path}: frames: every pixel clips or is as dark as {dark:g} in some frame")
     seconds = 1e-6 * (edges[:, 1] - edges[:, 0])

@@ -27,7 +27,6 @@ from pixelid.stimuli.pixel_lights import UNKNOWN, PixelLights
 from pixelid.stimuli.stimulus import Stimulus
 
 ATTRIBUTE, MEASURED, FRAMES = "light", "exposure measurements", "frames"
-MIN_TICKS = 10  # of an exposure: a shorter one is rounded by more than 3 % (1/√12 tick)
 MIN_MEASUREMENTS = 2  # of a pixel: one tells no change
 # Changes of light with the sign of the events between: 98 % in a public recording, once its polarities are right.
 # Below a third of at least 100 they are exchanged: of files without any relation, 1 in 2000 has so few.
@@ -106,7 +105,8 @@ def measurements(exposures: Events) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     order = np.lexsort((exposures.p, exposures.t, exposures.pixel))
     pixel, t, p = exposures.pixel[order].astype(np.int64), exposures.t[order], exposures.p[order]
     begins = np.flatnonzero((p[:-1] == 0) & (p[1:] == 1) & (pixel[1:] == pixel[:-1]) & (t[1:] > t[:-1]))
-    begins = begins[t[begins + 1] - t[begins] >= MIN_TICKS * exposures.tick_ns]
+    min_ticks = 10  # of an exposure: a shorter one is rounded by more than 3 % (1/√12 tick)
+    begins = begins[t[begins + 1] - t[begins] >= min_ticks * exposures.tick_ns]
     begin, end = t[begins], t[begins + 1]
     return pixel[begins], 0.5e-9 * (begin + end), 1e9 / (end - begin)
 

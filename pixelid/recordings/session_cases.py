@@ -25,7 +25,6 @@ from pixelid.stimuli.pixel_lights import Light, lights_in
 DEGREES = 4.0  # of Student's t: statements may be wrong
 UNEXPLAINED = float(soft_loss(np.ones(1))[0])  # mean loss of changes that follow no light
 AS_STATED = 1e-3  # of a loss, that the light stated may be worse: half of what a right one leaves
-OTHER_LIGHTS = 3  # that are tried where events do not follow their own, by correlation
 CONSTANT_SPAN, CONSTANT_RANGE = 0.05, 0.2  # of ln L, 1 to 99 % and all: below any threshold, above a trace's noise
 
 
@@ -171,7 +170,8 @@ def _hypotheses(i: int, recordings: Sequence[Recording], lights: Sequence[Light]
         exchanged = _Hypothesis(_events(recording, lights[i], -polarity), i, -polarity)
         tried += [exchanged] if exchanged.follows else []
     others = sorted(((correlation(recording, light), k) for k, light in enumerate(lights) if k != i), reverse=True)
-    rest = [_Hypothesis(_events(recording, lights[k], polarity), k, polarity) for _, k in others[:OTHER_LIGHTS]]
+    other_lights = 3  # that are tried where events do not follow their own, by correlation
+    rest = [_Hypothesis(_events(recording, lights[k], polarity), k, polarity) for _, k in others[:other_lights]]
     return [*tried, *(one for one in rest if one.follows)]
 
 

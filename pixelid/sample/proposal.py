@@ -20,7 +20,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 FREEDOM = 40.0  # tails heavier than the posterior's, near enough to accept most
-REFITTED_FREEDOM = 8.0
 SOFT, RIDGE = 3, 1.2  # axes that may be ridges, and how far along them their bend is measured
 DEEPEST, SHALLOWEST = 8.0, 0.5  # nats; drops outside this range say little about a scale
 
@@ -85,7 +84,8 @@ class Proposal:
         axes = vectors * np.sqrt(np.maximum(variances, 1e-30))
         y = np.linalg.solve(axes, u.T).T
         above, below = (np.sqrt((y**2 * side).sum(axis=0) / np.maximum(side.sum(axis=0), 1)) for side in (y > 0, y < 0))
-        return Proposal(centre, axes, above, below, self.funnel, self.mouth, REFITTED_FREEDOM)
+        refitted_freedom = 8.0
+        return Proposal(centre, axes, above, below, self.funnel, self.mouth, refitted_freedom)
 
 
 def shaped(

@@ -23,8 +23,6 @@ from pixelid.sample.posterior import Posterior
 from pixelid.sample.proposal import Proposal, shaped
 from pixelid.status import Status
 
-MOST_UNITS = 512  # pixels whose log-likelihoods are kept apart; more share units
-
 
 class Target:
     """Log posterior in fitting coordinates (logs where the parameter says so).
@@ -43,13 +41,14 @@ class Target:
         self.recordings = tuple(recordings)
         self.pooled = result.observation == "pooled_rate"
         self._dispersion = float(result.details.get("dispersion", 1.0))
+        most_units = 512  # pixels whose log-likelihoods are kept apart; more share units
         if self.pooled:
             self._counts = PooledRate(recordings)
             self._pooled = PooledRateObjective(self._counts, self.coordinates)
             self.units = 0
         else:
             self._density = event_times_of(result, recordings)
-            self.units = min(self._density.likelihood.pixels, MOST_UNITS)
+            self.units = min(self._density.likelihood.pixels, most_units)
         self.evaluations = 0
 
     @property
@@ -89,7 +88,6 @@ class Target:
         return self._counts.per_recording(self._pooled.expected(x))
 
 
-PILOT = 60  # exact evaluations that judge the proposal
 GOOD = 0.6  # efficiency of importance weights from which the Laplace shape is kept
 EXPLORE = 120  # steps that shape a better one
 WANTED = 1000  # effective samples per parameter
@@ -194,13 +192,14 @@ def _pilot(target: Target, proposal: Proposal, ensembles: int, walkers: int, see
     rng = np.random.RandomState([seed, 20240711])
     need = ensembles * walkers
     points, values = [], []
+    pilot = 60  # exact evaluations that judge the proposal
     for _ in range(200):
         for x in proposal.draw(need, rng):
             value = target.value(x)
             if np.isfinite(value):
                 points.append(x)
                 values.append(value)
-        if len(points) >= max(need, PILOT):
+        if len(points) >= max(need, pilot):
             break
     if len(points) < need:
         raise InputError("sample: the posterior is finite almost nowhere around the fit; fit again before sampling")

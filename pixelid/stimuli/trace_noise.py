@@ -28,7 +28,6 @@ LARGEST = 0.05  # of ln L: more is no photodiode's noise but a light that jumps 
 ALIKE = 1.25  # ratio of two estimates of one white noise; of a light that bends they differ by its samples per period
 SMALLEST = 1e-7  # of ln L: below a single-precision number's rounding nothing is measured
 WAVELET = "sym8"  # 8 vanishing moments: chirps to a tenth of the sampling rate stay in few coefficients
-COARSEST = 64  # samples of the coarsest level at least
 
 
 def noise_sd(light: Stimulus) -> float:
@@ -52,7 +51,8 @@ def without_noise(light: Stimulus) -> Stimulus:
 
     logs = np.log(light.radiance)
     n = len(logs)
-    levels = int(np.log2(n / COARSEST))
+    coarsest = 64  # samples of the coarsest level at least
+    levels = int(np.log2(n / coarsest))
     whole = 2**levels
     left = whole // 2
     padded = np.pad(logs, (left, -(n + left) % whole + whole), mode="reflect", reflect_type="odd")

@@ -18,7 +18,6 @@ from pixelid.tables.fit import TableFit, Tie, covariance_at, fit_table, log_post
 
 FALL = 0.5 * Z95**2  # nats at the ends of a 95 % interval
 LEAST_SD = 0.01  # the curvature of a skewed likelihood said 3 % where its profile says 8
-REST = 0.02  # nats; the end of an interval moves by half a per cent
 HELD_SD = 1e-3  # in ln: far below LEAST_SD
 GROWTH, TRIES = 1.6, 4  # of the step that looks for the end of the interval; up to ten standard errors away
 
@@ -82,8 +81,10 @@ def _widened(fit: TableFit, by: np.ndarray) -> TableFit:
 def _fallen(fit: TableFit) -> Fallen:
     top = log_posterior_at(fit, fit.x)
 
+    rest = 0.02  # nats; the end of an interval moves by half a per cent
+
     def fallen(k: int, wanted: float, start: np.ndarray) -> float:
-        held = fit_table(fit.model, np.exp(start).tolist(), (*fit.ties, Tie((k,), wanted, HELD_SD)), rest=REST)
+        held = fit_table(fit.model, np.exp(start).tolist(), (*fit.ties, Tie((k,), wanted, HELD_SD)), rest=rest)
         return top - log_posterior_at(fit, held.x)
 
     return fallen

@@ -36,8 +36,6 @@ from pixelid.likelihood.event_times import EventTimes
 Scores = dict[tuple[str, str], float]  # (response, label) → score
 
 FLIPS = 1999  # resolves p to 5e-4
-MIN_COLUMN_NORM = 1e-3  # score that one unit of a coordinate can move: what is left of a column below it is rounding
-MIN_UNITS = 8  # to flip the signs of: 2⁻⁷, the least p of fewer, tells nothing at a chance of 1 %
 MAX_RESIDUAL_SD = 8.0  # beyond, residuals count as this: one event must not make a map
 SKEWNESS_OF_SQUARE = np.sqrt(8.0)  # of (e² − 1)/√2, e standard normal
 NEGLIGIBLE_SKEWNESS = 1e-3  # a score of 5 moves by 4e-3
@@ -158,7 +156,9 @@ class _Basis:
         self.pixels, self.own, every = pixels, own, (own, *beside)
         q, r = np.linalg.qr(np.concatenate([response.J for response in every]))
         left = np.abs(np.diag(r))
-        q = q[:, left > max(MIN_COLUMN_NORM, 1e-9 * left.max(initial=0.0))]
+        # Score that one unit of a coordinate can move: what is left of a column below it is rounding
+        min_column_norm = 1e-3
+        q = q[:, left > max(min_column_norm, 1e-9 * left.max(initial=0.0))]
         parts = np.split(q, np.cumsum([len(response.J) for response in every])[:-1])
         self.Q = parts[0]
         self.along = np.zeros((q.shape[1], self.pixels))
@@ -240,7 +240,8 @@ def flip_signs(sums: np.ndarray, seed: int) -> float | None:
     """p of the largest studentised |Σ over units| of sums (units, cells) under random signs of whole units (pixels, or
     stretches of time); None for too few units."""
     shown = sums[np.abs(sums).sum(axis=1) > 0]
-    if len(shown) < MIN_UNITS:
+    min_units = 8  # to flip the signs of: 2⁻⁷, the least p of fewer, tells nothing at a chance of 1 %
+    if len(shown) < min_units:
         return None
     scale = np.sqrt((shown**2).sum(axis=0))
     scaled = shown / np.where(scale > 0, scale, 1.0)

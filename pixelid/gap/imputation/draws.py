@@ -26,7 +26,6 @@ from pixelid.model.model import Model
 from pixelid.recordings.recording import Recording
 
 MAX_SLOPE_HZ = 1e4  # level per second by which a release can matter: steeper is rounding
-MIN_INFORMATION_RATIO = 0.3  # of what intervals say of a time to what its stamp says: enough to judge the stamp by
 
 
 @dataclass(frozen=True)
@@ -53,6 +52,7 @@ def draw_times(
     """
     times = [t.copy() for t in times]
     misses, variances = [], []
+    min_information_ratio = 0.3  # of what intervals say of a time to what its stamp says: enough to judge the stamp by
     for parity in (0, 1):
         here = _conditionals(recordings, windows, times, model)
         moved, bounds = [], []
@@ -64,7 +64,7 @@ def draw_times(
             moved[-1][at] = _cut_normal(t[at], told.precision[at], told.push[at], low[at], high[at], rng)
             if window.stamp is not None:
                 by_intervals = told.precision - 1.0 / window.sd**2
-                known = at[by_intervals[at] * window.sd**2 > MIN_INFORMATION_RATIO]
+                known = at[by_intervals[at] * window.sd**2 > min_information_ratio]
                 push = told.push[known] - (window.stamp - t)[known] / window.sd**2
                 misses.append(window.stamp[known] - t[known] - push / by_intervals[known])
                 variances.append(1.0 / by_intervals[known])

@@ -24,7 +24,6 @@ QUEUE, TICK, JITTER, SIGMA = (
     "readout_latency", "timestamp_quantisation", "timestamp_jitter", "timestamp_jitter.sigma_s",
 )  # fmt: skip
 MOSTLY_WAITED = 0.1  # of a recording's events that waited in a queue; where fewer did, hardly anything has to be drawn
-EXCHANGES = 4  # of stamps, per path: paths find the order of polarities, these who has which stamp of one polarity
 
 
 @dataclass(frozen=True)
@@ -138,8 +137,9 @@ def draw_again(imputation: Imputation, model: Model, *, estimate: bool = True, e
         times, nats = made.times, float(made.per_pixel.sum())
     draw = draw_times(imputation.fine, imputation.windows, times, model, rng, exact or paths, reordered)
     windows, error = imputation.windows, imputation.error
+    exchanges = 4  # of stamps, per path: paths find the order of polarities, these who has which stamp of one polarity
     if imputation.effect == JITTER:
-        for _ in range(EXCHANGES if reordered else 1):
+        for _ in range(exchanges if reordered else 1):
             windows = tuple(exchange_stamps(imputation.fine, windows, draw.times, rng))
         if estimate:
             sd, error = estimate_spread(draw, windows[0].sd)
@@ -148,7 +148,6 @@ def draw_again(imputation: Imputation, model: Model, *, estimate: bool = True, e
     return replace(imputation, windows=windows, times=tuple(draw.times), random=random, nats=nats, error=error)
 
 
-MAX_COST_NATS = 8.0  # of one event's jitter, four standard deviations: events farther off have other causes
 # Of a polarity: from there on χ² is exceeded at most 1.3 times as often as it says, at chances from 1e-2 to 1e-4; by 16
 # events 1.6 times, by 5 up to 6 times, by two up to 100 times (a million draws each).
 MIN_EVENTS = 30
@@ -211,9 +210,11 @@ def estimate_spread(draw: Draw, sd: float) -> tuple[float, float]:
     Each event's own time is integrated over, which makes alternating draws and estimates settle sooner.  sd: the last
     """
 
+    max_cost_nats = 8.0  # of one event's jitter, four standard deviations: events farther off have other causes
+
     def loss(log_sd: float) -> float:
         variance = np.exp(2.0 * log_sd) + draw.variance
-        return float(np.sum(0.5 * np.log(variance) + np.minimum(0.5 * draw.miss**2 / variance, MAX_COST_NATS)))
+        return float(np.sum(0.5 * np.log(variance) + np.minimum(0.5 * draw.miss**2 / variance, max_cost_nats)))
 
     best = minimize_scalar(loss, bounds=(np.log(sd) - MAX_LOG_MOVE, np.log(sd) + MAX_LOG_MOVE), method="bounded")
     estimate = float(np.exp(best.x))

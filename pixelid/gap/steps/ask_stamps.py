@@ -56,7 +56,6 @@ class Stamps:
 
 
 POLE = "extra_pole"
-LEAST_SPLIT = 0.1  # of the lateness of the poles, that a pole more must take: less is how cameras differ
 EVENTS = 1_500  # of the pixels that limits are tried on: some forty of them, half a second each
 
 
@@ -85,7 +84,8 @@ def split_pole(model: Model, nominal: Model) -> Model | None:
     """
     shipped = with_nominal_fast_poles(model, nominal)
     late, usual = (sum(1.0 / each.values[name] for name in FAST) for each in (model, shipped))
-    if late - usual < LEAST_SPLIT * late:
+    least_split = 0.1  # of the lateness of the poles, that a pole more must take: less is how cameras differ
+    if late - usual < least_split * late:
         return None
     return shipped.with_effect(POLE, {"cutoff_hz": 1.0 / (late - usual)})
 

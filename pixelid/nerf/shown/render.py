@@ -26,7 +26,6 @@ from pixelid.status import Status
 
 VIDEO, DEPTH_VIDEO = "video.mp4", "depth.mp4"
 MESH, SPLATS = "mesh.ply", "splats.ply"
-MUCH_WHITE = 0.01  # share of the pixels beyond white from which on it is said
 BRIGHTEST = 0.995  # quantile of the first frames that becomes white where no views say what white is
 
 
@@ -108,7 +107,8 @@ def render(
         progress=lambda share: progress("frames", 0.8 * share),
     )  # fmt: skip
     files = {f"{FRAMES}/": f"{made.frames} PNG pictures"}
-    if (white := made.white / made.frames) > MUCH_WHITE:
+    much_white = 0.01  # share of the pixels beyond white from which on it is said
+    if (white := made.white / made.frames) > much_white:
         notes.append(f"{white:.1%} of the pixels are brighter than white of the views, and shown as white")
     if asked.depth:
         files[f"{DEPTH}/"] = f"{made.frames} arrays of distances (NaN: nothing there), and pictures of them"

@@ -10,8 +10,6 @@ import numpy as np
 from pixelid.figures.style import INK, MUTED, OFF, ON, legend_above, new_axes, styled
 from pixelid.tables.noise.model import NoiseModel
 
-ASIDE = 1.04  # by which OFF stands right of ON, which it would hide
-DENSE = 12  # lights from which a line through what is predicted is drawn
 REACH = 2.0  # of ratios; what is further out is an arrow
 
 
@@ -24,6 +22,8 @@ def draw_noise(model: NoiseModel, rows: Sequence[dict[str, Any]], axes: Any = No
     table = model.table
     measured = np.array([row["measured"] for row in rows])
     predicted = np.array([row["predicted"] for row in rows])
+    aside = 1.04  # by which OFF stands right of ON, which it would hide
+    dense = 12  # lights from which a line through what is predicted is drawn
     for on, colour, name in ((True, ON, "ON"), (False, OFF, "OFF")):
         for group in sorted(set(table.group.tolist())):
             here = np.flatnonzero((table.on == on) & (table.group == group))
@@ -35,10 +35,10 @@ def draw_noise(model: NoiseModel, rows: Sequence[dict[str, Any]], axes: Any = No
             least = np.maximum(measured[here], table.last_digit[here])
             top.loglog(table.light[here], least, marker, color=colour, ms=4, label=label)
             # between few lights a straight line would not be the circuit's
-            line = {} if len(here) >= DENSE else {"marker": "_", "linestyle": "none", "markersize": 14, "mew": 1.5}
+            line = {} if len(here) >= dense else {"marker": "_", "linestyle": "none", "markersize": 14, "mew": 1.5}
             top.loglog(table.light[here], predicted[here], color=colour, **line)
             shown = here[measured[here] > 0]
-            ratio, light = measured[shown] / predicted[shown], table.light[shown] * (1.0 if on else ASIDE)
+            ratio, light = measured[shown] / predicted[shown], table.light[shown] * (1.0 if on else aside)
             far = ratio > REACH
             bottom.semilogx(light[~far], ratio[~far], marker, color=colour, ms=4)
             bottom.semilogx(light[far], np.full(far.sum(), REACH - 0.08), "^", color=colour, ms=6)

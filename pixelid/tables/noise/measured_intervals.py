@@ -12,7 +12,6 @@ CENTRES_S = np.sqrt(EDGES_S[1:] * EDGES_S[:-1])
 GROUPS = 8  # of pixels, that tell how much shares differ by chance
 PAIRS = (("on_on", "on_off"), ("off_on", "off_off"))  # polarity before, and after
 COARSE, LEAST_SHARE = 3, 1e-5  # bins in one of the histogram, and what one must hold to be in it
-SURE = 3.0  # standard errors from which a difference is more than chance
 
 
 @dataclass(frozen=True)
@@ -83,7 +82,8 @@ def count_intervals(
 def intervals_in_words(entry: dict[str, Any], unit: str, least: float) -> str:
     """A sentence where the distance is beyond `least` and chance; empty else."""
     far, error, median = entry["distance"], entry["distance_error"], entry["median_s"]
-    if far is None or error is None or far < max(least, SURE * error):
+    sure = 3.0  # standard errors from which a difference is more than chance
+    if far is None or error is None or far < max(least, sure * error):
         return ""
     return (
         f"{entry['file']} at {entry['radiance']:.3g} {unit}: intervals between events are not those predicted: shares "

@@ -32,8 +32,6 @@ from pixelid.tables.result import TableResult, table_result
 MODEL_FILE = "model.toml"
 NAMED = 0.15  # relative disagreement that is said in words
 MOST_NAMED = 12
-INTERVAL_LIGHTS = 6  # spread over those recorded, at which intervals are predicted: some seconds each
-REPEATABILITY = 0.05  # of a rate in a table without errors, against which --predict standardises
 SCALE = "light_scale["  # beginning of the names of scales that a fit of several tables finds
 FOLDED = ("shot_noise.density", "diff_cutoff_hz", "threshold_sigma", "threshold_mismatch.sigma")
 
@@ -110,7 +108,8 @@ def predicted_result(noise: NoiseModel, scales: Mapping[str, float] | None = Non
     predicted = lit.predict(np.array([p.to_coordinate(p.value) for p in lit.parameters]))
     ratio = rows.log_ratio(predicted)
     scatter = SD_PER_MEDIAN * float(np.median(np.abs(ratio)))
-    standardised = ratio / np.sqrt(rows.known_variance + REPEATABILITY**2)
+    repeatability = 0.05  # of a rate in a table without errors, against which --predict standardises
+    standardised = ratio / np.sqrt(rows.known_variance + repeatability**2)
     how = misses(ratio, standardised) or (f"by {scatter:.0%} (typical)" if not scatter < MAX_SCATTER else "")
     written = predicted_rows(noise, predicted, standardised)
     return {
@@ -136,7 +135,8 @@ def _about_rows(noise: NoiseModel, rows: Sequence[dict[str, Any]]) -> dict[str, 
     circuit, floor = noise.circuit.circuit(), noise.beside.get(FLOOR.name, 0.0)
     own = not noise.beside.get(OFF_BACKGROUND.name, 0.0)  # events whatever the light are not the circuit's
     seen = sorted((one.radiance, k) for k, one in enumerate(table.intervals) if one.counts.any())
-    spread = np.linspace(0, len(seen) - 1, INTERVAL_LIGHTS).round().astype(int) if seen and own else []
+    interval_lights = 6  # spread over those recorded, at which intervals are predicted: some seconds each
+    spread = np.linspace(0, len(seen) - 1, interval_lights).round().astype(int) if seen and own else []
     predicted = {seen[k][1] for k in spread}
     entries = [
         one.compared(mean_intervals(circuit, one.radiance, EDGES_S, floor) if k in predicted else None)

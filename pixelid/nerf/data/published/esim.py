@@ -28,7 +28,6 @@ ENCODINGS = {
     "rgba8": (np.uint8, 4, (0, 1, 2)), "bgra8": (np.uint8, 4, (2, 1, 0)), "8UC4": (np.uint8, 4, (2, 1, 0)),
 }  # fmt: skip
 BLOCK = 1 << 18  # events handed on together
-AFTER_NS = 1_000_000_000  # how much later than asked for a message may be before nothing else is expected
 THRESHOLD = 0.25  # assumed where there is no esim.conf: events leave a factor on all thresholds open
 
 
@@ -136,6 +135,8 @@ def _poses(bag: Path, reader, connection) -> Poses:
 
 
 def _events(bag: Path, topic: str) -> Callable[[int, int], Iterator[Block]]:
+    after_ns = 1_000_000_000  # how much later than asked for a message may be before nothing else is expected
+
     def blocks(begin: int, end: int) -> Iterator[Block]:
         with opened_bag(bag) as reader:
             connections = [c for c in reader.connections if c.topic == topic]
@@ -143,7 +144,7 @@ def _events(bag: Path, topic: str) -> Callable[[int, int], Iterator[Block]]:
             number = 0
             for _, _, data in reader.messages(connections=connections):
                 t, x, y, p = record_columns(bytes(data), reader.is2, bag)[1]
-                if len(t) and t.min() > end + AFTER_NS:
+                if len(t) and t.min() > end + after_ns:
                     yield from _joined(waiting)
                     return
                 if len(t) and t.max() >= begin:
