@@ -20,9 +20,6 @@ from pixelid.fit.objective import Objective
 from pixelid.parallel import map_threads
 
 RTOL, ATOL = 1e-9, 1e-11
-# Central difference in standard errors: the error of the gradient, of third order, is below 1e-3 per standard error,
-# and what solver tolerances make of the two values 1e-4.
-STEP_SD = 0.1
 
 
 class NumpyOperations:
@@ -84,7 +81,10 @@ def solve_ivp_objective(objective: Objective, x: np.ndarray) -> ContinuousObject
     """
     discrete = discrete_form(objective, x)
     op: Any = NumpyOperations()
-    steps = STEP_SD * scales(discrete.local(x), discrete.coordinates.longest_moves())
+    # Central difference in standard errors: the error of the gradient, of third order, is below 1e-3 per standard
+    # error, and what solver tolerances make of the two values 1e-4.
+    step_sd = 0.1
+    steps = step_sd * scales(discrete.local(x), discrete.coordinates.longest_moves())
 
     def value_at(point):
         x, frozen = point

@@ -22,9 +22,6 @@ from pixelid.gap.state import State
 from pixelid.likelihood.event_times import EventTimes
 
 REPLICATES = 4
-# Standard errors from zero that a cell's mean score over the replicates must be: of a thousand cells one in sixteen is
-# so by chance, and taking it out costs the measurement little more than a score of 2.
-CLEAR = 4.0
 
 
 def bootstrap_remainder(state: State, context: Context) -> State:
@@ -41,7 +38,10 @@ def bootstrap_remainder(state: State, context: Context) -> State:
     one = _OneBootstrap(training, fit, seen, options.criteria)
     seed_offset = 9001  # of the simulated sessions: none of other replicates' (31 apart) or twins' (101 apart)
     seeds = [options.seed + seed_offset + 31 * turn for turn in range(REPLICATES)]
-    cells, p = subtract_replicates(seen, map_fits(context.work, one, seeds, context.cache), CLEAR)
+    # Standard errors from zero that a cell's mean score over the replicates must be: of a thousand cells one in
+    # sixteen is so by chance, and taking it out costs the measurement little more than a score of 2.
+    clear = 4.0
+    cells, p = subtract_replicates(seen, map_fits(context.work, one, seeds, context.cache), clear)
     told = entry(len(state.rounds) + 1, seen.p, bootstrap={"replicates": REPLICATES, "p_of_what_is_left": p})
     state = replace(state, rounds=(*state.rounds, told))
     if p < options.alpha_each:
