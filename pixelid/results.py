@@ -24,9 +24,6 @@ if TYPE_CHECKING:
     from pixelid.inputs import RecordingsLike
     from pixelid.recordings.recording import Recording
 
-SENTENCES_SHOWN = 4
-WIDTH_SHOWN = 110
-
 
 @dataclass(frozen=True)
 class Table:
@@ -188,8 +185,9 @@ class Result(ABC):
 
     def __repr__(self) -> str:
         sentences = list(self.sentences())
-        hidden = len(sentences) - SENTENCES_SHOWN
-        shown = sentences[:SENTENCES_SHOWN] + ([f"… {hidden} more in .summary()"] if hidden > 0 else [])
+        sentences_shown = 4
+        hidden = len(sentences) - sentences_shown
+        shown = sentences[:sentences_shown] + ([f"… {hidden} more in .summary()"] if hidden > 0 else [])
         rows_shown = 18  # of each table, in a `repr`: with headings and a few sentences one screen of 24 lines
         return _text(self.headline, list(self.tables())[:1], [_cut(s) for s in shown], rows_shown)
 
@@ -257,7 +255,8 @@ def wrapped(text: str, width: int | None, indent: str = "") -> str:
 
 
 def _cut(sentence: str) -> str:
-    return sentence if len(sentence) <= WIDTH_SHOWN else sentence[: WIDTH_SHOWN - 1] + "…"
+    width_shown = 110
+    return sentence if len(sentence) <= width_shown else sentence[: width_shown - 1] + "…"
 
 
 _HTML = """<div><p><b>{{ headline }}</b></p>

@@ -23,7 +23,6 @@ from typing import Any
 from pixelid.errors import InputError, shown
 
 COARSE_A = (24.8e-6, 3.1e-6, 387.5e-9, 48.437e-9, 6.054e-9, 756e-12, 94e-12, 11e-12)  # by jAER's BitValueCoarse
-MOST_FINE = 255
 MOST_SPLIT = (1 << 24) - 1
 MIRROR, BETA_A_PER_V2, THERMAL_V = 45.0, 2.0 * 170e-6, 26e-3 * 298.0 / 300.0  # of the DVS128's master bias
 EXTERNAL_OHM, INTERNAL_OHM = 8.2e3, 46e3  # where the header does not say; only the external one is in use then
@@ -156,9 +155,10 @@ def _coarse_fine(name: str, biases: Mapping[str, Any]) -> Current | None:
     keys = [f"{start}.BitValueCoarse", f"{start}.BitValueFine"]
     if any(key not in biases for key in keys):
         return None
-    coarse, fine = _whole(biases, keys[0], len(COARSE_A) - 1), _whole(biases, keys[1], MOST_FINE)
+    most_fine = 255
+    coarse, fine = _whole(biases, keys[0], len(COARSE_A) - 1), _whole(biases, keys[1], most_fine)
     off = str(biases.get(f"{start}.Enabled", "true")).lower() != "true"
-    return Current(name, {"coarse": coarse, "fine": fine}, COARSE_A[coarse] * fine / MOST_FINE, off)
+    return Current(name, {"coarse": coarse, "fine": fine}, COARSE_A[coarse] * fine / most_fine, off)
 
 
 def _split(name: str, biases: Mapping[str, Any]) -> Current | None:

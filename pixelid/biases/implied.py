@@ -34,7 +34,6 @@ from typing import Any
 from pixelid.biases.currents import Current, Currents
 from pixelid.statistics import Z95
 
-KAPPA = 0.7  # of NMOS and PMOS
 RESET_FARAD, RESET_VOLT = 20e-15, 0.8
 LOAD_FARAD, THERMAL_VOLT = 131.167e-15, 25e-3
 SPLITTER_SD, LEAKAGE_A, MASTER_SD = 0.25, 1e-12, 0.2
@@ -138,8 +137,9 @@ def _threshold(currents: Currents, role: str, sign: float) -> Value | str:
         )
     errors = {"kappa": math.sqrt(5.0) * KAPPA_SD, "capacitor ratio": GAIN_SD}
     errors |= {setting: spread / log_ratio for setting, spread in spreads.items()}
-    formula = f"κn/κp² · C2/C1 · ln(I_{names[0]} / I_{names[1]}), κ = {KAPPA:g}, C1/C2 = {currents.of.gain:g}"
-    return Value(log_ratio / (KAPPA * currents.of.gain), UNITS[f"{role}_threshold"], formula, errors)
+    kappa = 0.7  # of NMOS and PMOS
+    formula = f"κn/κp² · C2/C1 · ln(I_{names[0]} / I_{names[1]}), κ = {kappa:g}, C1/C2 = {currents.of.gain:g}"
+    return Value(log_ratio / (kappa * currents.of.gain), UNITS[f"{role}_threshold"], formula, errors)
 
 
 def _dead_time(currents: Currents) -> Value | str:

@@ -20,8 +20,6 @@ from pixelid.inspection.timestamps import TimestampSignature
 from pixelid.model.model import Model
 from pixelid.parameters.parameter import precision_in_words
 
-POWER_SD = 0.84  # standard deviations above what is required, for a power of 80 %
-
 
 def nats_needed(effect: str, alpha_each: float, tried: int, pixels: Mapping[str, Any], criteria: Criteria) -> float:
     """Nats on the training pixels that an effect has to be worth for a search to name it with a power of 80 %.
@@ -39,8 +37,9 @@ def nats_needed(effect: str, alpha_each: float, tried: int, pixels: Mapping[str,
     """
     fit, select = int(pixels["fit"]), int(pixels["select"])
     train = fit + select if pixels.get("apart", True) else max(fit, select)
-    significant = np.sqrt(2.0 * gain_of_chance(effect, alpha_each, tried)) + POWER_SD
-    leading = 2.0 * (criteria.min_lead_standard_errors + POWER_SD)
+    power_sd = 0.84  # standard deviations above what is required, for a power of 80 %
+    significant = np.sqrt(2.0 * gain_of_chance(effect, alpha_each, tried)) + power_sd
+    leading = 2.0 * (criteria.min_lead_standard_errors + power_sd)
     return 0.5 * train * max(significant**2 / max(fit, 1), leading**2 / max(select, 1))
 
 

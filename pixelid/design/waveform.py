@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
 RATE_HZ = 48_000.0  # of any sound card
 REST_S = 1.0  # before the light: the pixel must be at steady state at its first sample (docs/tutorial.md)
-LEAST_SAMPLES_PER_PERIOD = 4  # of the fastest part of a chirp; twice the Nyquist rate, where a converter's filter ends
 START_HZ = 3.0  # of a chirp; a tenth of its end where that is slower
 LEAST_TOP_HZ, MOST_TOP_HZ = 1.0, 20_000.0  # of a chirp whose end a model chooses; LED drivers end above
 
@@ -194,12 +193,14 @@ def _completed(
     values = {**own, **asked}
     if model is not None and "level" not in values and "level" in known:
         values["level"] = brightest_level(model)
+    # Of the fastest part of a chirp; twice the Nyquist rate, where a converter's filter ends
+    least_samples_per_period = 4
     if kind == "chirp":
         if model is not None and "stop_hz" not in asked and "stop_hz" not in own:
             values["stop_hz"] = top_frequency_hz(model, values["level"], rate_hz)
         stop = values.get("stop_hz", known["stop_hz"])
-        if isinstance(stop, int | float) and stop > rate_hz / LEAST_SAMPLES_PER_PERIOD:
-            most = rate_hz / LEAST_SAMPLES_PER_PERIOD
+        if isinstance(stop, int | float) and stop > rate_hz / least_samples_per_period:
+            most = rate_hz / least_samples_per_period
             raise InputError(f"top_hz: expected at most {most:g} Hz at {rate_hz:g} samples/s, found {stop:g}")
         if "start_hz" not in values and isinstance(stop, int | float) and stop <= 2 * START_HZ:
             values["start_hz"] = stop / 10

@@ -20,7 +20,6 @@ from pixelid.fit.newton import Optimum
 from pixelid.fit.uncertainty.profiles import at_fixed
 from pixelid.likelihood.stamps import Bend
 
-NEARBY = 0.1  # of a standard error, over which slopes are taken
 LARGEST = 0.3  # of a step along the ridge, in the coordinate's longest moves
 
 
@@ -98,20 +97,21 @@ def _leads(objective: EventTimesObjective, x: np.ndarray, covariance: np.ndarray
     names, circuit = objective.coordinates.names, objective.circuit(x)
     sd, differs = np.sqrt(np.maximum(np.diag(covariance), 1e-300)), np.zeros(len(x))
     steps = np.minimum(sd, objective.coordinates.longest_moves())
+    nearby = 0.1  # of a standard error, over which slopes are taken
     for i in range(len(x)):
         values = []
         if is_of_bench(names[i]) or "[" in names[i]:
             continue
         for sign in (1.0, -1.0):
             moved = x.copy()
-            moved[i] += sign * NEARBY * steps[i]
+            moved[i] += sign * nearby * steps[i]
             there = objective.circuit(moved)
             if only_density_differs(circuit, there):
                 break
             follows = objective.likelihood.with_stamps_at(there, bend)
             values.append(follows.log_likelihood(there) - objective.likelihood.log_likelihood(there))
         if len(values) == 2:
-            differs[i] = (values[0] - values[1]) / (2.0 * NEARBY * steps[i])
+            differs[i] = (values[0] - values[1]) / (2.0 * nearby * steps[i])
     moves = np.abs(covariance @ differs) / sd
     negligible = 0.05  # of a standard error, by which the maximum would move
     if moves[differs != 0.0].max(initial=0.0) < negligible:

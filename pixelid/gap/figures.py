@@ -32,7 +32,6 @@ from pixelid.model.model import Model
 from pixelid.recordings.recording import Recording
 from pixelid.statistics import Z95
 
-SIMULATED_PIXELS = 64  # their scatter adds to the measured one, a fourth of it where 16 pixels were recorded
 FEW = 3  # effects fitted, of which the page's table is a better picture
 DIRECTIONS = {"level": ("early", "late"), "spread": ("less scatter", "more scatter")}  # score below and above 0
 
@@ -173,17 +172,18 @@ def draw_before_after(report: Searched, recordings: Sequence[Recording], axes: A
     if axes is None:
         axes = new_axes(4, len(shown), 8.6, 1.5, height_ratios=(1.0, 2.6, 1.2, 1.2))
     models = ((report.base, MUTED, "--", "before"), (report.model, IMPROVED, "-", "after"))
+    simulated_pixels = 64  # their scatter adds to the measured one, a fourth of it where 16 pixels were recorded
     for (light_axis, axis, *lefts), recording in zip(axes.T, shown, strict=True):
         light = light_of(recording, report.details["stimulus_between_samples"])
-        copies = [simulated(model, recording, light, report.seed, SIMULATED_PIXELS) for model, _, _, _ in models]
+        copies = [simulated(model, recording, light, report.seed, simulated_pixels) for model, _, _, _ in models]
         draw_light(light_axis, recording)
         lines = {
-            f"{when}: {model.name}": (copy, SIMULATED_PIXELS, colour, line)
+            f"{when}: {model.name}": (copy, simulated_pixels, colour, line)
             for (model, colour, line, when), copy in zip(models, copies, strict=True)
         }
         draw_rates(axis, recording, light, lines)
         for left, copy, (_, _, _, when) in zip(lefts, copies, models, strict=True):
-            draw_difference(left, recording, light, copy, SIMULATED_PIXELS)
+            draw_difference(left, recording, light, copy, simulated_pixels)
             finish_pair(axis, left)
             left.set_ylabel(f"{when}\n(σ)")
         reach = max(abs(end) for left in lefts for end in left.get_ylim())  # they are compared: one scale

@@ -9,7 +9,6 @@ import numpy as np
 from pixelid.stimuli.drive import knots
 from pixelid.stimuli.stimulus import Stimulus
 
-MIN_CYCLES = 6
 SMALLEST_STEP = 0.2  # log radiance
 
 
@@ -62,12 +61,13 @@ def _sweep(t: np.ndarray, radiance: np.ndarray) -> Sweep | None:
     up = np.flatnonzero((radiance[:-1] < centre) & (radiance[1:] >= centre))
     share = (centre - radiance[up]) / (radiance[up + 1] - radiance[up])
     crossing = t[up] + share * (t[up + 1] - t[up])
-    if len(crossing) < MIN_CYCLES:
+    min_cycles = 6
+    if len(crossing) < min_cycles:
         return None
     if abs(radiance[0] - centre) < 1e-2 * centre and crossing[0] - t[0] > 0.5 * (crossing[1] - crossing[0]):
         crossing = np.append(t[0], crossing)  # it starts at the mean
     periods = np.diff(crossing)
-    if len(periods) < MIN_CYCLES or periods.max() < 3 * periods.min():
+    if len(periods) < min_cycles or periods.max() < 3 * periods.min():
         return None
     trend = np.corrcoef(np.argsort(np.argsort(periods)), np.arange(len(periods)))[0, 1]
     if abs(trend) < 0.95:  # sampling makes fast cycles uneven

@@ -48,7 +48,6 @@ from pixelid.recordings.recording import Recording
 from pixelid.statistics import Z95
 from pixelid.stimuli.pixel_lights import Light
 
-BLOCKS = 24  # of time, whose residuals count as independent
 LEAST_CHANGES = 50
 LEAST_INSIDE = 0.3  # of the changes within the light: with fewer, a few edges of another light may fit
 FORM = 0.03  # thresholds: leak, dark current and the like shift events so that a block shares it
@@ -233,15 +232,16 @@ def _estimate(changes: Changes, fit: Refined) -> tuple[float, float, np.ndarray]
     r, jacobian = fit.residuals, fit.jacobian
     weight = 1.0 / np.sqrt(1.0 + (r / SOFT) ** 2)
     time, lasting = changes.time, float(np.ptp(changes.time))
-    block = np.minimum((BLOCKS * (time - time.min()) / lasting).astype(int), BLOCKS - 1)
-    scores = np.zeros((BLOCKS, 9))
+    blocks = 24  # of time, whose residuals count as independent
+    block = np.minimum((blocks * (time - time.min()) / lasting).astype(int), blocks - 1)
+    scores = np.zeros((blocks, 9))
     np.add.at(scores, block, jacobian * (weight * r)[:, None])
     curvature, meat = jacobian.T @ (jacobian * weight[:, None]), scores.T @ scores
     held = np.zeros(9)
     held[2:6] = hold(len(r)) ** 2
     curvature += np.diag(held)
     meat += np.diag(held**2)  # the centre may be an e-fold off
-    shared = np.zeros((BLOCKS, 9))
+    shared = np.zeros((blocks, 9))
     np.add.at(shared, block, jacobian * weight[:, None])
     meat += FORM**2 * shared.T @ shared  # what no filter of this form describes, common to a block
     scale = 1.0 / np.sqrt(np.maximum(np.diag(curvature), 1e-30))

@@ -22,7 +22,6 @@ from pixelid.stimuli.stimulus import Stimulus
 
 NOTHING = 0.5  # stands for grey level 0, since light is positive
 FULL = {"L": 255, "L16": 65535}  # grey level that clips, by the format of the frames
-MOST_VALUES = 250_000_000  # of all frames in memory, 1 GB
 
 
 def frames(path: Path) -> Iterator[dict[str, np.ndarray]]:
@@ -44,12 +43,13 @@ def frames(path: Path) -> Iterator[dict[str, np.ndarray]]:
     levels: list[np.ndarray] = []
     edges: list[tuple[int, int]] = []
     full = 255
+    most_values = 250_000_000  # of all frames in memory, 1 GB
     for frame in checked_packets(packets, path):
         begin, end, pixels = int(frame.exposure_start_t), int(frame.exposure_end_t), frame.pixels
         if end <= begin or pixels.ndim != 2 or (edges and (begin <= edges[-1][0] or pixels.shape != levels[0].shape)):
             continue
-        if (len(levels) + 1) * pixels.size > MOST_VALUES:
-            raise InputError(f"{path}: frames: more than fit {MOST_VALUES:.0e} grey levels; record fewer")
+        if (len(levels) + 1) * pixels.size > most_values:
+            raise InputError(f"{path}: frames: more than fit {most_values:.0e} grey levels; record fewer")
         full = full if edges else FULL.get(str(frame.format), 255)
         levels.append(np.array(pixels))
         edges.append((begin, end))

@@ -27,7 +27,6 @@ from pixelid.stimuli.pixel_lights import UNKNOWN, PixelLights
 from pixelid.stimuli.stimulus import Stimulus
 
 ATTRIBUTE, MEASURED, FRAMES = "light", "exposure measurements", "frames"
-MIN_MEASUREMENTS = 2  # of a pixel: one tells no change
 # Changes of light with the sign of the events between: 98 % in a public recording, once its polarities are right.
 # Below a third of at least 100 they are exchanged: of files without any relation, 1 in 2000 has so few.
 MAX_SHARE_AGREEING, MIN_TELLING = 1 / 3, 100
@@ -64,17 +63,18 @@ def with_measured_light(recording: Recording) -> Recording:
     edges = np.flatnonzero(np.diff(pixel)) + 1
     of_pixel = np.full(events.width * events.height, UNKNOWN, np.int32)
     lights: list[Stimulus] = []
+    min_measurements = 2  # of a pixel: one tells no change
     for part in np.split(np.arange(len(pixel)), edges):
         t, light = middle_s[part], radiance[part]
         inside = (np.diff(t, prepend=span[0]) > 0) & (t < span[1])
         t, light = t[inside], light[inside]
-        if len(t) < MIN_MEASUREMENTS:
+        if len(t) < min_measurements:
             continue
         of_pixel[pixel[part[0]]] = len(lights)
         t, light = np.concatenate([span[:1], t, span[1:]]), np.concatenate([light[:1], light, light[-1:]])
         lights.append(Stimulus(t, light))
     if not lights:
-        raise InputError(f"{recording.name}: --stimulus sensor: no pixel has {MIN_MEASUREMENTS} exposure measurements")
+        raise InputError(f"{recording.name}: --stimulus sensor: no pixel has {min_measurements} exposure measurements")
     grouped = PixelLights.of_groups(lights, of_pixel.reshape(events.height, events.width))
     kept = events.select(of_pixel[events.pixel] != UNKNOWN)
     attributes = {**recording.attributes, ATTRIBUTE: MEASURED, **({"polarity": EXCHANGED} if exchanged else {})}

@@ -25,7 +25,6 @@ from pixelid.statistics import Z95
 from pixelid.stimuli.pixel_lights import Light
 
 CONTRADICTED = 4.0  # standard errors: 6e-5 of a true statement, so that a session of a dozen has few false doubts
-COVERS = 0.98  # share of the changes within a light that covers the events
 
 
 @dataclass(frozen=True)
@@ -138,9 +137,10 @@ def _identified(case: Case, rate: SharedRate) -> EventAlignment | None:
     if case.events is None or not case.events.follows:
         return None
     events = case.events.with_rate(rate.mean, rate.sd)
-    if events.equal_rivals and events.inside < COVERS:
+    covers = 0.98  # share of the changes within a light that covers the events
+    if events.equal_rivals and events.inside < covers:
         return None
-    equal = [rival for rival in events.equal_rivals if rival.inside >= COVERS]
+    equal = [rival for rival in events.equal_rivals if rival.inside >= covers]
     apart = max((abs(rival.offset_s - case.events.offset_s) for rival in equal), default=0.0)
     widest_s = 0.02  # equal offsets within this are one, known as badly: what a fit may move (likelihood/clocks.py)
     if apart > widest_s:

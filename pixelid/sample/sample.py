@@ -89,7 +89,6 @@ class Target:
 
 
 GOOD = 0.6  # efficiency of importance weights from which the Laplace shape is kept
-EXPLORE = 120  # steps that shape a better one
 WANTED = 1000  # effective samples per parameter
 
 
@@ -218,8 +217,9 @@ def _explored(target: Target, proposal: Proposal, starts: np.ndarray, seed: int)
 
     sampler = emcee.EnsembleSampler(starts.shape[0], starts.shape[1], target.value, moves=moves(proposal, 0.3))
     sampler.random_state = np.random.RandomState([seed, 7]).get_state()
-    sampler.run_mcmc(starts, EXPLORE, skip_initial_state_check=True)
-    return np.asarray(sampler.get_chain(discard=EXPLORE // 2, flat=True))
+    explore = 120  # steps that shape a better one
+    sampler.run_mcmc(starts, explore, skip_initial_state_check=True)
+    return np.asarray(sampler.get_chain(discard=explore // 2, flat=True))
 
 
 def k_hat(log_ratio: np.ndarray) -> float:

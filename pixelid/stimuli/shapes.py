@@ -15,7 +15,6 @@ from pixelid.errors import InputError
 from pixelid.stimuli.stimulus import Stimulus
 
 MOST_SAMPLES = 50_000_000
-SATURATED = 50.0  # edge widths from a step beyond which tanh is ±1 in double precision (from 38)
 
 
 def _times(duration_s: float, dt: float) -> np.ndarray:
@@ -76,8 +75,9 @@ def steps(level=100.0, modulation=0.9, hold_s=0.02, edge_s=2e-4, duration_s=0.8,
     count = math.ceil(duration_s / hold_s) + 1
     logs = np.random.default_rng(seed).uniform(-modulation, modulation, count)
     u = np.full(len(t), math.log(level)) + logs[0]
+    saturated = 50.0  # edge widths from a step beyond which tanh is ±1 in double precision (from 38)
     for k in range(1, count):
-        begin, end = np.searchsorted(t, [k * hold_s - SATURATED * edge_s, k * hold_s + SATURATED * edge_s])
+        begin, end = np.searchsorted(t, [k * hold_s - saturated * edge_s, k * hold_s + saturated * edge_s])
         rise = logs[k] - logs[k - 1]
         u[begin:end] += rise * 0.5 * (1 + np.tanh(0.5 * (t[begin:end] - k * hold_s) / edge_s))
         u[end:] += rise

@@ -25,8 +25,6 @@ from pixelid.likelihood.event_times import NUDGE_S, EventTimes
 from pixelid.model.model import Model
 from pixelid.recordings.recording import Recording
 
-MAX_SLOPE_HZ = 1e4  # level per second by which a release can matter: steeper is rounding
-
 
 @dataclass(frozen=True)
 class Draw:
@@ -109,9 +107,10 @@ def _conditionals(
     score = here.log_rate - np.log(here.scale) - 0.5 * (lacks / here.scale) ** 2 - 0.5 * np.log(2.0 * np.pi)
     score = np.where(mute, -np.inf, score)
     score = np.maximum(score, np.log(BACKGROUND_HZ))
+    max_slope_hz = 1e4  # level per second by which a release can matter: steeper is rounding
     slopes = (
         np.where(mute, 0.0, np.exp(here.log_rate)),
-        np.clip((there.z - here.z) / NUDGE_S, -MAX_SLOPE_HZ, MAX_SLOPE_HZ),
+        np.clip((there.z - here.z) / NUDGE_S, -max_slope_hz, max_slope_hz),
     )
     conditionals, first = [], 0
     for recording, window, t, intervals in zip(recordings, windows, times, likelihood.intervals, strict=True):

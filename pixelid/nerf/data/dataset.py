@@ -28,7 +28,6 @@ from pixelid.recordings.source import options_for
 BLOCK = 1 << 22  # events looked at together, where a copy of all would be in the way
 MOST_NS = 1 << 62  # 146 years: sums and differences of times still fit 64 bits
 MOST_AWAY = 1e9  # of the scene's unit: rays are single precision, which is a hundred units there
-SLACK = 1000  # ns by which rounded clocks may disagree
 EVENTS, POSES = "raw_events.npz", "camera_poses.npz"
 FILES = (EVENTS, POSES, CALIBRATION, RENDERER)
 
@@ -75,7 +74,8 @@ def read_dataset(path: Path) -> Dataset:
     zero = trajectory.zero_ns
     t, x, y, on = _events(path / EVENTS, calibration)
     begin, end = zero, round(trajectory.t[-1] * 1e9) + zero
-    if t[0] < begin - SLACK or t[-1] > end + SLACK:
+    slack = 1000  # ns by which rounded clocks may disagree
+    if t[0] < begin - slack or t[-1] > end + slack:
         raise InputError(
             f"{path / POSES}: T_wc_timestamp: poses cover {begin} … {end} ns, but timestamp of {EVENTS} runs "
             f"{t[0]} … {t[-1]} ns; leave out the events outside, or {_way(path / POSES)}"

@@ -26,7 +26,6 @@ from pixelid.statistics import SD_PER_MEDIAN, Z95
 from pixelid.tables.biases.reading import BiasTable
 
 LEAST_APART = 1.2  # ratio of two settings' thresholds; nearer, the two kinds do not part
-BLOCKS = 20  # of pixels, left out in turn for the errors: neighbours may share their deviations
 NAME = re.compile(r"^(on|off)_(.+)$", re.IGNORECASE)
 
 
@@ -78,14 +77,15 @@ def _of_pair(path: Path, edge: str, pair: Mapping[str, np.ndarray]) -> dict[str,
     for x in (a, b):
         middle = float(np.median(x[kept]))
         kept &= np.abs(x - middle) < most_sd * SD_PER_MEDIAN * np.median(np.abs(x[kept] - middle))
-    if kept.sum() < 10 * BLOCKS:
+    blocks = 20  # of pixels, left out in turn for the errors: neighbours may share their deviations
+    if kept.sum() < 10 * blocks:
         return None
     a, b = a[kept], b[kept]
     if max(a.mean(), b.mean()) < LEAST_APART * min(a.mean(), b.mean()):
         return None
     every = np.stack([_moments(np.delete(a, part), np.delete(b, part))
-                      for part in np.array_split(np.arange(len(a)), BLOCKS)])  # fmt: skip
-    error = np.sqrt((BLOCKS - 1) * every.var(0))  # jackknife
+                      for part in np.array_split(np.arange(len(a)), blocks)])  # fmt: skip
+    error = np.sqrt((blocks - 1) * every.var(0))  # jackknife
     squares = _moments(a, b)
     theta = 0.5 * float(a.mean() + b.mean())
     return _parts(squares[:2], error[:2], theta, "log radiance") | {

@@ -29,7 +29,6 @@ PARAMETERS = {"refractory_s", "on_threshold", "off_threshold", "sf_cutoff_hz", "
 EDGES = {"on": "on", "1": "on", "off": "off", "0": "off", "-1": "off"}
 ERROR = re.compile(r"(^|_)(sd|std|se|sem|err|error)(_|$)")
 SPREAD = re.compile(r"mismatch|spread")
-MOST_CODE = 1e9
 LEAST = 1e-18  # of a quantity in SI units
 EXPECTED = "as bias_refr,dead_time_us"
 
@@ -114,8 +113,9 @@ def _read(path: Path, stated: Stated, measured: bool) -> tuple[list[BiasTable], 
         if name not in numeric and name != edge and len(set(text.text(name))) > 1:
             raise InputError(f"{path}: {name}: expected one value in all rows, found several: keep the rows of one")
     values = {name: text.numbers(name) for name in biases}
+    most_code = 1e9
     for name, column in values.items():
-        text.check(name, np.abs(column) < MOST_CODE, f"a code, less than {MOST_CODE:g} either way")
+        text.check(name, np.abs(column) < most_code, f"a code, less than {most_code:g} either way")
     varied = [name for name in biases if np.ptp(values[name]) > 0.0] if measured else biases
     if measured and not 1 <= len(varied) <= 2:
         raise InputError(

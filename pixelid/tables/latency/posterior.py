@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
 STEPS = 1500
 ENSEMBLES = 2
-MOST_SD = 1.0  # of a start along any coordinate: what the table leaves open starts no wider
 
 
 def log_posterior(fit: CameraFit, z: np.ndarray) -> float:
@@ -125,7 +124,8 @@ def _gaussian(fit: CameraFit) -> Proposal:
     x, rows = regression.x, fit.model.rows
     covariance = covariance_at(regression)
     sd = np.sqrt(np.diag(covariance))
-    covariance *= np.outer(np.minimum(1.0, MOST_SD / sd), np.minimum(1.0, MOST_SD / sd))
+    most_sd = 1.0  # of a start along any coordinate: what the table leaves open starts no wider
+    covariance *= np.outer(np.minimum(1.0, most_sd / sd), np.minimum(1.0, most_sd / sd))
     size = len(x) + 1
     axes = np.zeros((size, size))
     axes[:-1, :-1] = np.linalg.cholesky(covariance + 1e-12 * np.eye(len(x)))

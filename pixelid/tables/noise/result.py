@@ -31,7 +31,6 @@ from pixelid.tables.result import TableResult, table_result
 
 MODEL_FILE = "model.toml"
 NAMED = 0.15  # relative disagreement that is said in words
-MOST_NAMED = 12
 SCALE = "light_scale["  # beginning of the names of scales that a fit of several tables finds
 FOLDED = ("shot_noise.density", "diff_cutoff_hz", "threshold_sigma", "threshold_mismatch.sigma")
 
@@ -159,14 +158,15 @@ def disagreements(table: NoiseTable, rows: Sequence[dict[str, Any]]) -> list[str
     sentences = []
     ratios = [row["measured"] / row["predicted"] for row in rows]
     measured = [(abs(math.log(r)), k) for k, r in enumerate(ratios) if r > 0 and abs(r - 1.0) > NAMED]
-    for _, k in sorted(measured, reverse=True)[:MOST_NAMED]:
+    most_named = 12
+    for _, k in sorted(measured, reverse=True)[:most_named]:
         sentences.append(
             f"{rows[k].get('file', '')} {'ON' if table.on[k] else 'OFF'} at {table.light[k]:.3g} {table.unit}: "
             f"measured {rows[k]['measured']:.3g} events/s, predicted {rows[k]['predicted']:.3g} events/s "
             f"({ratios[k]:.2f} times)"
         )
-    if len(measured) > MOST_NAMED:
-        sentences.append(f"and {len(measured) - MOST_NAMED} more rows off by more than {NAMED:.0%}")
+    if len(measured) > most_named:
+        sentences.append(f"and {len(measured) - most_named} more rows off by more than {NAMED:.0%}")
     for group in sorted(set(table.group.tolist())):
         for on in (True, False):
             here = np.flatnonzero((table.group == group) & (table.on == on))

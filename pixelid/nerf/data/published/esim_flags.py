@@ -34,7 +34,6 @@ CIRCUIT = (
     "diff_amp_cutoff_freq_hz",
 )  # fmt: skip
 COLOUR_SPACES = ("display", "linear")
-BLENDER = 4  # renderer_type whose images have a colour space
 
 
 def read_flags(file: Path) -> dict[str, str]:
@@ -95,7 +94,8 @@ def pixel_of(file: Path, flags: dict[str, str]) -> dict[str, Any]:
 
 def renderer_of(file: Path, flags: dict[str, str]) -> dict[str, Any] | None:
     """The content of `renderer_params.npz`; None where the images were not rendered with a colour space."""
-    if flags.get("renderer_type", str(BLENDER)) != str(BLENDER):
+    blender = 4  # renderer_type whose images have a colour space
+    if flags.get("renderer_type", str(blender)) != str(blender):
         return None
     space = _number(file, flags, "blender_interm_color_space")
     if space not in (0, 1):
