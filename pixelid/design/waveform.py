@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 RATE_HZ = 48_000.0  # of any sound card
 REST_S = 1.0  # before the light: the pixel must be at steady state at its first sample (docs/tutorial.md)
 START_HZ = 3.0  # of a chirp; a tenth of its end where that is slower
-LEAST_TOP_HZ, MOST_TOP_HZ = 1.0, 20_000.0  # of a chirp whose end a model chooses; LED drivers end above
 
 
 @dataclass(frozen=True)
@@ -154,10 +153,11 @@ def top_frequency_hz(model: Model, level: float, rate_hz: float = RATE_HZ) -> fl
     """
     circuit = model.circuit()
     poles = exact(circuit, level, "pixel") if circuit.photoreceptor != "unlimited" else later_poles(circuit)
-    reached = bandwidth_hz(poles) if len(poles) else MOST_TOP_HZ
+    least_top_hz, most_top_hz = 1.0, 20_000.0  # of a chirp whose end a model chooses; LED drivers end above
+    reached = bandwidth_hz(poles) if len(poles) else most_top_hz
     samples_per_period = 10  # of a chirp whose end a model chooses: the held samples then differ from a sine by 10 %
-    highest = min(MOST_TOP_HZ, rate_hz / samples_per_period)
-    return float(f"{min(max(reached, LEAST_TOP_HZ), highest):.2g}")
+    highest = min(most_top_hz, rate_hz / samples_per_period)
+    return float(f"{min(max(reached, least_top_hz), highest):.2g}")
 
 
 def _look_up(source: str | Path, model: Model | None) -> tuple[str, str | None, dict[str, float]]:

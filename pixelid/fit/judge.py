@@ -24,8 +24,6 @@ LARGEST_BACKGROUND_FRACTION, MIN_BACKGROUND_EVENTS = 1e-3, 5
 # Pooled counts about a true model have dispersion 1; pools of real pixels reach 2 to 3 by sharing light fluctuations,
 # for which errors are widened.  Beyond, what is left of the counts has structure.
 LARGEST_DISPERSION = 3.0
-# Residuals against a covariate: events per block, and most blocks.
-BLOCK_EVENTS, MOST_BLOCKS = 50, 40
 
 
 @dataclass(frozen=True)
@@ -67,7 +65,9 @@ def residual_tests(objective: EventTimesObjective, x: np.ndarray) -> list[Residu
     likelihood = objective.likelihood
     terms = objective.terms(x)
     kept = np.flatnonzero(~terms.background & ~terms.at_once)  # what came at once does not tell its level
-    if len(kept) < 2 * BLOCK_EVENTS:
+    # Residuals against a covariate: events per block, and most blocks.
+    block_events, most_blocks = 50, 40
+    if len(kept) < 2 * block_events:
         return []
     group = likelihood.group[kept]
     e = (terms.z[kept] - terms.weighted_mean[group]) / terms.scale[kept]
@@ -83,10 +83,10 @@ def residual_tests(objective: EventTimesObjective, x: np.ndarray) -> list[Residu
     for name, covariate in covariates.items():
         for polarity, sign in (("ON", 1.0), ("OFF", -1.0)):
             some = np.flatnonzero(likelihood.sign[kept] == sign)
-            if len(some) < 2 * BLOCK_EVENTS:
+            if len(some) < 2 * block_events:
                 continue
             ordered = e[some[np.argsort(covariate[some], kind="stable")]]
-            blocks = np.array_split(ordered, min(len(some) // BLOCK_EVENTS, MOST_BLOCKS))
+            blocks = np.array_split(ordered, min(len(some) // block_events, most_blocks))
             mean = sum(len(b) * b.mean() ** 2 for b in blocks)
             square = sum(0.5 * len(b) * ((b**2).mean() - 1.0) ** 2 for b in blocks)
             for moment, statistic in (("level", mean), ("scatter", square)):

@@ -25,7 +25,6 @@ from pixelid.stimuli.pixel_lights import Light, lights_in
 DEGREES = 4.0  # of Student's t: statements may be wrong
 UNEXPLAINED = float(soft_loss(np.ones(1))[0])  # mean loss of changes that follow no light
 AS_STATED = 1e-3  # of a loss, that the light stated may be worse: half of what a right one leaves
-CONSTANT_SPAN, CONSTANT_RANGE = 0.05, 0.2  # of ln L, 1 to 99 % and all: below any threshold, above a trace's noise
 
 
 @dataclass(frozen=True)
@@ -189,7 +188,8 @@ def is_constant(light: Light) -> bool:
     """Whether the light changes by no more than the noise of its trace."""
     logs = [np.log(np.maximum(one.radiance, 1e-300)) for one in lights_in(light)]
     spans = max(float(np.diff(np.quantile(log, (0.01, 0.99)))[0]) for log in logs)
-    return spans < CONSTANT_SPAN and max(float(np.ptp(log)) for log in logs) < CONSTANT_RANGE
+    constant_span, constant_range = 0.05, 0.2  # of ln L, 1 to 99 % and all: below any threshold, above a trace's noise
+    return spans < constant_span and max(float(np.ptp(log)) for log in logs) < constant_range
 
 
 def _explains(events: EventAlignment | None) -> bool:

@@ -19,8 +19,6 @@ from pixelid.fit.engines.frozen import freeze
 from pixelid.fit.objective import Objective
 from pixelid.parallel import map_threads
 
-RTOL, ATOL = 1e-9, 1e-11
-
 
 class NumpyOperations:
     """`expression.Operations` on float64 arrays (n,)."""
@@ -119,6 +117,7 @@ def _flow(state, drive, slope, tau, radiance, dynamics):
 
     v, y, s, d = state
     start = np.concatenate([v * unit, y, s, d])
-    end = solve_ivp(rate, (0.0, 1.0), start, method="DOP853", rtol=RTOL, atol=ATOL, t_eval=[1.0]).y[:, -1]
+    rtol, atol = 1e-9, 1e-11
+    end = solve_ivp(rate, (0.0, 1.0), start, method="DOP853", rtol=rtol, atol=atol, t_eval=[1.0]).y[:, -1]
     w, y, s, d = end.reshape(4, n)
     return w / unit, y, s, d
