@@ -35,7 +35,7 @@ OWN = {
     ("design", "recorded"): "`recordings`", ("design", "biases"): "`bandwidth`, `noise`, `rate`",
     ("stimulus", "rate"): "`rate_hz`", ("stimulus", "rest"): "`rest_s`",
     ("stimulus", "bits"): "`waveform.save(path, bits=24)`", ("stimulus", "set_"): "`parameters`",
-    ("reconstruct", "checkpoint"): "`resume`", ("render", "way"): "`path`", ("view", "open_"): "`open`",
+    ("reconstruct", "checkpoint"): "`resume`", ("view", "open_"): "`open`",
 }  # fmt: skip
 # Of Python alone: what the command line keeps in files of its own, or decides by itself.
 PYTHON_ONLY = {"progress", "resume", "preview", "starts", "leave_out", "recommend", "search", "options"}

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pixelid.errors import InputError
+from pixelid.nerf.options import DatasetOptions, RenderOptions
 from pixelid.nerf.options import Options as Reconstructing
 from pixelid.options import takes
 from pixelid.public import public
@@ -27,23 +28,15 @@ if TYPE_CHECKING:
 
 
 @public
+@takes(DatasetOptions)
 def dataset(
     layout: str,
     source: str | Path,
     out: str | Path,
     *,
-    start: float | None = None,
-    end: float | None = None,
-    every: int = 1,
-    views: int = 40,
-    camera: str = "",
-    time_offset: float = 0.0,
-    on_threshold: float | None = None,
-    off_threshold: float | None = None,
-    dead_time: float | None = None,
     overwrite: bool = False,
-    seed: int = 0,
     progress: Progress | None = None,
+    **options: Any,
 ) -> Conversion:
     """Write a dataset that `reconstruct` reads from published raw data.
 
@@ -51,17 +44,8 @@ def dataset(
         layout: "esim", a bag of rpg_esim or a folder with one; "eds" or "tumvie", a sequence of these data sets.
         source: the bag or folder.
         out: the dataset's folder, with a figure and a page next to the data.
-        start: seconds after the first pose at which to begin.
-        end: seconds after the first pose at which to end.
-        every: keep one pixel in so many, with all of its events.
-        views: at most so many pictures to compare with; all posed views that come with a sequence.
-        camera: esim: first word of the topics; eds: the sensor's name in the calibration; tumvie: "left" or "right".
-        time_offset: seconds, added to the events' times.
-        on_threshold: in place of the one known or assumed.
-        off_threshold: in place of the one known or assumed.
-        dead_time: seconds, in place of the one known or assumed.
+        **options
         overwrite: replace the dataset that is there.
-        seed: of the pixels that `every` keeps.
         progress: called with what is done and the fraction.
 
     Returns:
@@ -79,16 +63,14 @@ def dataset(
     from pixelid.outputs import whole_folder
     from pixelid.report.html import write_report
 
+    asked = DatasetOptions(**options)
     if not Path(source).exists():
         raise InputError(f"{source}: no such file or folder")
-    if end is not None and end <= (start or 0.0):
-        raise InputError(f"--end: expected a time after --start, found {end:g} s")
+    if asked.end is not None and asked.end <= (asked.start or 0.0):
+        raise InputError(f"--end: expected a time after --start, found {asked.end:g} s")
+    kind = one_of("layout", layout, tuple(LAYOUTS))
     with whole_folder(Path(out), overwrite) as folder:
-        result = convert(
-            Path(source), one_of("layout", layout, tuple(LAYOUTS)), folder, start=start, end=end, every=every,
-            views=views, camera=camera, time_offset=time_offset, thresholds=(on_threshold, off_threshold),
-            dead_time=dead_time, seed=seed, progress=progress or (lambda what, share: None),
-        )  # fmt: skip
+        result = convert(Path(source), kind, folder, asked, progress or (lambda what, share: None))
         result.write(folder)
         write_report(folder)
     return result
@@ -135,44 +117,21 @@ def reconstruct(
 
 
 @public
+@takes(RenderOptions)
 def render(
     reconstruction: str | Path,
     out: str | Path,
     *,
-    views: str | Path | None = None,
-    path: str | None = None,
-    frames: int = 60,
-    size: tuple[int, int] | None = None,
-    fov: float | None = None,
-    up: tuple[float, float, float] = (0.0, 0.0, 1.0),
-    distance: float | None = None,
-    supersample: int = 1,
-    video: bool = False,
-    fps: int = 30,
-    depth: bool = False,
-    mesh: bool = False,
-    splats: bool = False,
     overwrite: bool = False,
     progress: Progress | None = None,
+    **options: Any,
 ) -> Rendered:
     """Render views, videos, depth, meshes and splats of a reconstruction.
 
     Args:
         reconstruction: its folder.
         out: folder for frames/ and what is asked for, with a page.
-        views: where from: transforms_*.json, a dataset folder, or camera_poses.npz.
-        path: around the scene where there are no `views`: "orbit" (default) or "spiral".
-        frames: on the path; at most so many of `views`.
-        size: width and height in pixels; (400, 400), or those of `views`, by default.
-        fov: horizontal, degrees, where `views` states no camera; 39.6 by default.
-        up: what is up in the scene, for `path`.
-        distance: of the camera from the middle, for `path`; by default the box fills the view.
-        supersample: rays per pixel and side.
-        video: also an mp4 of the frames (with pixelid[video]).
-        fps: frames per second of the video.
-        depth: distances too, as arrays and pictures.
-        mesh: the surface as mesh.ply.
-        splats: Gaussian splats as splats.ply.
+        **options
         overwrite: replace the result that is there.
         progress: called with what is done and the fraction.
 
@@ -188,32 +147,32 @@ def render(
     """
     import math
 
-    from pixelid.nerf.shown.render import Wanted
     from pixelid.nerf.shown.render import render as run
     from pixelid.nerf.shown.saved import SavedReconstruction
     from pixelid.nerf.shown.ways import around, way_of_file
-    from pixelid.options import one_of
     from pixelid.outputs import whole_folder
     from pixelid.report.html import write_report
 
+    asked = RenderOptions(**options)
     if not Path(reconstruction).is_dir():
         found = "a file" if Path(reconstruction).exists() else "nothing of that name"
         raise InputError(f"{reconstruction}: expected the folder of a reconstruction, found {found}")
-    if views is not None and path is not None:
-        raise InputError(f"--path {path}: --views says already where from; give one of them")
-    saved, angle = SavedReconstruction.load(reconstruction), None if fov is None else math.radians(fov)
-    if views is not None:
-        cameras = way_of_file(Path(views), size, angle, frames)
+    if asked.views is not None and asked.path is not None:
+        raise InputError(f"--path {asked.path}: --views says already where from; give one of them")
+    saved = SavedReconstruction.load(reconstruction)
+    size = None if asked.size is None else (asked.size[0], asked.size[1])
+    angle = None if asked.fov is None else math.radians(asked.fov)
+    if asked.views is not None:
+        cameras = way_of_file(asked.views, size, angle, asked.frames)
     else:
         cameras = around(
-            saved.field.low, saved.field.high, one_of("--path", path or "orbit", ("orbit", "spiral")), frames,
-            size or (400, 400), fov=math.radians(39.6) if angle is None else angle, up=up, distance=distance,
+            saved.field.low, saved.field.high, asked.path or "orbit", asked.frames, size or (400, 400),
+            fov=math.radians(39.6) if angle is None else angle, up=asked.up, distance=asked.distance,
         )  # fmt: skip
     with whole_folder(Path(out), overwrite) as folder:
         result = run(
-            Path(reconstruction), saved, cameras, folder, Wanted(video, depth, mesh, splats, fps),
-            supersample=supersample, progress=progress or (lambda what, share: None),
-        )  # fmt: skip
+            Path(reconstruction), saved, cameras, folder, asked, progress=progress or (lambda what, share: None)
+        )
         result.write(folder)
         write_report(folder)
     return result

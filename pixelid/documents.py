@@ -24,8 +24,6 @@ from pixelid.errors import InputError, first_line, printable, shown
 
 MOST_BYTES = {"TOML": 2 << 20, "JSON": 64 << 20, "CSV": 64 << 20}  # each is read within 5 s
 MOST_NESTED = 64  # of what pixelid writes, gap.json is the deepest: 8
-MOST_PARTS = 64  # of a dotted key
-HOLLOW_BYTES, MOST_RATIO, MOST_EXTENTS = 64 << 20, 1000, 1000  # smaller files are read at once, whatever they hold
 
 GREEK_MU = "\u03bc"  # which looks like the micro sign
 
@@ -105,11 +103,12 @@ def refuse_hollow(path: Path) -> None:
         InputError: less than a thousandth of it lies on the disk.
     """
     size = path.stat().st_size
-    if size < HOLLOW_BYTES or not hasattr(os, "SEEK_DATA"):
+    hollow_bytes, most_ratio, most_extents = 64 << 20, 1000, 1000  # smaller files are read at once, whatever they hold
+    if size < hollow_bytes or not hasattr(os, "SEEK_DATA"):
         return
     held, at = 0, 0
     with path.open("rb") as file:
-        for _ in range(MOST_EXTENTS):
+        for _ in range(most_extents):
             try:
                 begin = os.lseek(file.fileno(), at, os.SEEK_DATA)
                 at = os.lseek(file.fileno(), begin, os.SEEK_HOLE)
@@ -118,7 +117,7 @@ def refuse_hollow(path: Path) -> None:
                     break
                 return  # a file system that does not know
             held += at - begin
-            if held * MOST_RATIO >= size:
+            if held * most_ratio >= size:
                 return
     raise InputError(f"{path}: expected data, found a sparse file: {held} bytes on the disk stand for {size}")
 
@@ -147,6 +146,7 @@ def interpreting(path: str | Path, expected: str) -> Iterator[None]:
 def _check_structure(text: str, path: Path) -> None:
     """Refuse nesting and keys that would take the parser out of its depth."""
     depth, parts = 0, 0
+    most_parts = 64  # of a dotted key
     for token in _TOKEN.finditer(text):
         mark = token[0]
         if mark == ".":
@@ -157,8 +157,8 @@ def _check_structure(text: str, path: Path) -> None:
             depth -= 1
         elif mark in ("=", ",", "\n"):
             parts = 0
-        if depth > MOST_NESTED or parts > MOST_PARTS:
-            found = f"{MOST_NESTED} open brackets" if depth > MOST_NESTED else f"a key of {MOST_PARTS} parts"
+        if depth > MOST_NESTED or parts > most_parts:
+            found = f"{MOST_NESTED} open brackets" if depth > MOST_NESTED else f"a key of {most_parts} parts"
             line = text.count("\n", 0, token.start()) + 1
             raise InputError(f"{path}: line {line}: expected a shallow TOML document, found more than {found}")
 

@@ -56,7 +56,7 @@ class Statement:
 
 @dataclass(frozen=True)
 class Option:
-    """One field of an options class.  kind: "bool", "int", "float", "str", "Path", "words" or "numbers"."""
+    """One field of an options class.  kind: a word of `_checked`."""
 
     name: str
     kind: str
@@ -71,13 +71,15 @@ def option(default: Any, help: str, **stated: Any) -> Any:
 
 
 def options_of(cls: type) -> tuple[Option, ...]:
-    """The fields of an options class, in order."""
-    return tuple(Option(f.name, _kind(str(f.type)), f.default, str(f.type), f.metadata["stated"]) for f in fields(cls))
+    """The fields of an options class that state something, in order."""
+    stated = [f for f in fields(cls) if "stated" in f.metadata]
+    return tuple(Option(f.name, _kind(str(f.type)), f.default, str(f.type), f.metadata["stated"]) for f in stated)
 
 
 def _kind(annotation: str) -> str:
     first = annotation.split(" | ")[0]
-    return {"tuple[str, ...]": "words", "tuple[float, ...]": "numbers"}.get(first, first)
+    kinds = {"tuple[str, ...]": "words", "tuple[float, ...]": "numbers", "tuple[int, ...]": "wholes"}
+    return kinds.get(first, first)
 
 
 class Checked:
@@ -110,14 +112,21 @@ def _checked(of: Option, value: Any) -> Any:
         return tuple(one_of(name, word, stated.choices) for word in value)
     if of.kind == "numbers":
         return numbers(name, value, stated.count, least=stated.low)
+    if of.kind == "wholes":
+        numbers(name, value, stated.count)
+        return tuple(whole_number(name, one, int(stated.low), int(stated.high)) for one in value)
     if of.kind == "int":
         if stated.word and isinstance(value, str) and value == stated.word:
             return value
         or_else = f" or {stated.word!r}" if stated.word else ""
         return whole_number(name, value, int(stated.low), int(stated.high), or_else)
-    return number(name, value, above=stated.above, least=stated.low) if of.kind == "float" else one_of(
-        name, value, stated.choices
-    )  # fmt: skip
+    if of.kind == "float":
+        return number(name, value, above=stated.above, least=stated.low)
+    if stated.choices:
+        return one_of(name, value, stated.choices)
+    if not isinstance(value, str):
+        raise InputError(f"{name}: expected text, found {shown(value)}")
+    return value
 
 
 def takes(cls: type) -> Callable[[F], F]:

@@ -24,10 +24,6 @@ if TYPE_CHECKING:
     from pixelid.inputs import RecordingsLike
     from pixelid.recordings.recording import Recording
 
-ROWS_SHOWN = 18  # of each table, in a `repr`: with headings and a few sentences one screen of 24 lines
-SENTENCES_SHOWN = 4
-WIDTH_SHOWN = 110
-
 
 @dataclass(frozen=True)
 class Table:
@@ -189,9 +185,11 @@ class Result(ABC):
 
     def __repr__(self) -> str:
         sentences = list(self.sentences())
-        hidden = len(sentences) - SENTENCES_SHOWN
-        shown = sentences[:SENTENCES_SHOWN] + ([f"… {hidden} more in .summary()"] if hidden > 0 else [])
-        return _text(self.headline, list(self.tables())[:1], [_cut(s) for s in shown], ROWS_SHOWN)
+        sentences_shown = 4
+        hidden = len(sentences) - sentences_shown
+        shown = sentences[:sentences_shown] + ([f"… {hidden} more in .summary()"] if hidden > 0 else [])
+        rows_shown = 18  # of each table, in a `repr`: with headings and a few sentences one screen of 24 lines
+        return _text(self.headline, list(self.tables())[:1], [_cut(s) for s in shown], rows_shown)
 
     def _repr_html_(self) -> str:
         return html_page(self.headline, list(self.tables())[:1], self.sentences())
@@ -257,7 +255,8 @@ def wrapped(text: str, width: int | None, indent: str = "") -> str:
 
 
 def _cut(sentence: str) -> str:
-    return sentence if len(sentence) <= WIDTH_SHOWN else sentence[: WIDTH_SHOWN - 1] + "…"
+    width_shown = 110
+    return sentence if len(sentence) <= width_shown else sentence[: width_shown - 1] + "…"
 
 
 _HTML = """<div><p><b>{{ headline }}</b></p>

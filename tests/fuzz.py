@@ -16,7 +16,6 @@ import json
 import os
 import random
 import re
-import signal
 import sys
 import tempfile
 import time
@@ -26,6 +25,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 from fuzz_targets import Target, targets
+from processes import Hang, limited
 
 from pixelid.errors import InputError, printable
 from pixelid.recordings import isolated
@@ -77,21 +77,11 @@ def _copied(content: bytes, chance: random.Random) -> bytes:
     return content[:end] + content[begin:end] * chance.choice((1, 1, 50)) + content[end:]
 
 
-class Hang(BaseException):
-    """The CPU time is used up."""
-
-
 def complaint(target: Target, path: Path) -> str:
     """What is wrong with how the target answers a file; empty when nothing is."""
-
-    def too_long(*_: object) -> None:
-        raise Hang
-
-    signal.signal(signal.SIGVTALRM, too_long)
     out, err, began = io.StringIO(), io.StringIO(), time.process_time()
-    signal.setitimer(signal.ITIMER_VIRTUAL, 4 * CPU_S)
     try:
-        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        with limited(4 * CPU_S), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
             code = target.call(path)
     except InputError as error:
         code, lines = 2, str(error).splitlines()
@@ -100,8 +90,6 @@ def complaint(target: Target, path: Path) -> str:
         return f"took more than {4 * CPU_S:g} s"
     except (Exception, SystemExit):
         return traceback.format_exc(limit=-6)
-    finally:
-        signal.setitimer(signal.ITIMER_VIRTUAL, 0)
     used, said = time.process_time() - began, err.getvalue()
     if isinstance(code, int) and code not in (0, 2):
         return f"exit code {code}: {said[:300]}"

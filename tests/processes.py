@@ -11,8 +11,8 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext, suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -44,6 +44,26 @@ class Outcome:
     printed: str = ""
     cpu_s: float = 0.0
     bytes: int = 0
+
+
+class Hang(BaseException):
+    """The CPU time is used up."""
+
+
+@contextmanager
+def limited(cpu_s: float) -> Iterator[None]:
+    """Raise `Hang` where the block has used so much CPU time."""
+
+    def too_long(*_: object) -> None:
+        raise Hang
+
+    before = signal.signal(signal.SIGVTALRM, too_long)
+    signal.setitimer(signal.ITIMER_VIRTUAL, cpu_s)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_VIRTUAL, 0)
+        signal.signal(signal.SIGVTALRM, before)
 
 
 def import_everything() -> None:

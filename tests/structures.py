@@ -1,41 +1,47 @@
-"""Give every command well-formed files of which one field is hostile: `python tests/structures.py --each 10`.
+"""Give every command files that nobody should trust, in place of good ones.
 
-`mutants.py` makes the files; each goes, in place of a good one, to each command that reads such a file (`CASES`), in a
-process forked from one in which everything is imported.  `replay.complaint` judges the answers; what lies beside must
-be as it was, byte for byte.
+A file comes from `mutants.py`, well-formed but for one hostile field, or is damaged in bytes by `fuzz.py`.  It goes to
+each command that reads such a file (`CASES`, `LEFT_OVERS`).  `complaint` judges the answers; what lies with the file
+must be as it was, byte for byte.
 """
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import io
-import json
 import os
 import random
 import shutil
 import signal
 import sys
-import tempfile
 import time
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
 import fuzz_targets
-import replay
-from mutants import Mutant, content, mutants
-from processes import Outcome, import_everything, run
+from mutants import Mutant, content
+from processes import Hang, Outcome, limited, run
 
 import pixelid.cli.main
+from pixelid.errors import printable
 
 CPU_S, MOST_CPU_S = 5.0, 60  # of an answer that refuses; before a run is ended that computes: the longest takes 14
-FEW = replay.FEW
+MOST_BYTES = 6 << 30  # at most at once, the imports' 0.6 GiB included
+MOST_CHARACTERS = 1100  # of a line
+NETS = ("this is a bug", "Traceback", "Warning", "escaped:")
+MODELS = Path(__file__).resolve().parents[1] / "models"
+DATA = Path(__file__).resolve().parent / "data"
+RESULTS = ("fit.json", "gap.json", *(file.name for file in sorted((DATA / "results").glob("*.json"))))
+FEW = "--fix alpha=61110 --fix beta=1851 --fix sf_cutoff_hz=50 --fix diff_cutoff_hz=1000 --fix refractory_s=0.001"
 COMPUTED = ("latency/", "noisefit/", "result_sensor/m", "eds/", "tumvie/")
 HEAVY = ("--align auto", "gap ", "conform ", "compare ", "lowlight ", "fit ", "sensor ", "reconstruct ", "design ",
          "latency latency", "noise noise.csv --out")  # fmt: skip
+
+
+def _result(name: str) -> str:
+    """The folder of a result, and the place of one of its files."""
+    return f"result_{name.partition('.')[0]}/{name}"
 
 
 @dataclass(frozen=True)
@@ -92,7 +98,8 @@ def _cases() -> list[Case]:
     for light in ("sine.toml", "steps.toml", "chirp.toml", "grating.toml", "samples.toml", "file.toml"):
         reads(light, "simulate dvs128 --stimulus {file} --out out.h5 --pixels 2")
     for model in ("dvs128.toml", "rich.toml"):
-        reads(model, "models {file}", "simulate {file} --stimulus chirp --out out.h5 --pixels 2",
+        reads(model, "models {file}", "models {file} --json",
+              "simulate {file} --stimulus chirp --out out.h5 --pixels 2",
               "fit four.h5 --model {file} --out out " + FEW,
               "compare four.h5 --model {file} --model dvs128_low_light --out out",
               "sensor four.h5 --model {file} --out out --bootstrap 0",
@@ -113,16 +120,17 @@ def _cases() -> list[Case]:
     reads("latency.csv", "latency {file} --out out", "latency {file} --predict --model gen31 --out out",
           "lowlight gen31 --latency {file} --out out", "latency latency.toml --out out")  # fmt: skip
     reads("noise.csv", "noise {file} --out out", "noise {file} --predict --model dvs128 --out out")
-    reads("rates.csv", "rates {file} --out out")
+    reads("rates.csv", "rates {file} --out out", "rates {file} --out out --unit kev/s --data .")
     reads("biases.csv", "rates {file} --bias-law --out out")
     reads("static_noise_pos_161lux.npy", "inspect static_noise_pos_161lux.npy static_noise_neg_161lux.npy --out out")
-    for name in replay.RESULTS:
-        folder, _, _ = replay._result(name).partition("/")
-        reads(replay._result(name), f"report {folder}")
+    for name in RESULTS:
+        folder, _, _ = _result(name).partition("/")
+        reads(_result(name), f"report {folder}")
     reads("result_fit/fit.json", "models result_fit", "export result_fit --to esim --out out.txt",
           "lowlight result_fit --out out", "design result_fit --out out --draws 1 --pixels 2",
           "simulate result_fit --stimulus chirp --out out.h5 --pixels 2",
-          "noise noise.csv --predict --model result_fit --out out", "sensor four.h5 --model result_fit --out out",
+          "noise noise.csv --predict --model result_fit --out out",
+          "latency latency.csv --predict --model result_fit --out out", "sensor four.h5 --model result_fit --out out",
           "fit four.h5 --model result_fit --out out " + FEW,
           "compare four.h5 --model result_fit --model dvs128_low_light --out out",
           "reconstruct scene --fit result_fit --out out --steps 2 --cells 8")  # fmt: skip
@@ -157,6 +165,13 @@ def _cases() -> list[Case]:
 
 
 CASES = _cases()
+LEFT_OVERS = [  # of interrupted runs, and files of kinds without mutants; only damaged bytes go there
+    Case("out.tiles/0.npz", "sensor four.h5 --model dvs128 --out out --bootstrap 0"),
+    Case(".out.fits", "gap four.h5 --model dvs128 --out out"),
+    Case("state.pt", "reconstruct scene --out out --steps 2 --cells 8 --checkpoint state.pt"),
+    Case("result_fit/posterior.json", "report result_fit"), Case("a.bag", "dataset esim a.bag out"),
+    Case("eds/calibration.yaml", "dataset eds eds out"),
+]  # fmt: skip
 RICH = """[model]
 name = "rich"
 photoreceptor = "second_order"
@@ -234,12 +249,26 @@ LATENCY_ROWS = "camera,lens,polarity,irradiance_W_m2,bias_config,min,median,max,
 )
 
 
+NOISE = "lux,ON_events_per_s_per_px,OFF_events_per_s_per_px\n1,2.5,0.1\n10,0.5,0.05\n100,0.125,0.02\n1000,0.1,0.01\n"
+
+
 def prepare(folder: Path) -> None:
-    """Write every good file into an empty folder."""
-    replay.prepare(folder)
-    (folder / "good.h5").unlink()
-    _write_plain(folder)
-    for words in ("latency latency.csv --out latency", "noise noise.csv --out noisefit"):
+    """Write every good file into an empty folder: with those of `prepare_plain` sequences of cameras, and results."""
+    sys.path.insert(0, str(Path(__file__).resolve().parent / "integration"))
+    import test_nerf_published as published
+
+    from pixelid.nerf.synthetic import make_dataset
+
+    prepare_plain(folder)
+    truth = published.as_simulated(
+        make_dataset(folder / "hard", "hard", seed=3, side=published.SIDE, revolutions=1.0, frames_per_turn=300)
+    )
+    published.write_eds(folder / "eds", truth)
+    published.write_tumvie(folder / "tumvie", truth)
+    shutil.rmtree(folder / "hard")
+    shutil.rmtree(folder / "result_sensor")
+    for words in ("latency latency.csv --out latency", "noise noise.csv --out noisefit",
+                  "sensor four.h5 --model dvs128 --bootstrap 2 --out result_sensor"):  # fmt: skip
         done = run(words.split(), folder)
         assert done.code in (0, 1), done.said
 
@@ -247,9 +276,19 @@ def prepare(folder: Path) -> None:
 def prepare_plain(folder: Path) -> None:
     """Write the good files that no command has to make into an empty folder."""
     list(fuzz_targets._scenes(folder))
-    replay.write_results(folder)
-    (folder / "noise.csv").write_text(replay.NOISE)
+    write_results(folder)
+    (folder / "noise.csv").write_text(NOISE)
     _write_plain(folder)
+
+
+def write_results(folder: Path) -> None:
+    """A folder per kind of result, `field.npz` being there already."""
+    for name in RESULTS:
+        result = folder / _result(name)
+        result.parent.mkdir()
+        shutil.copy(DATA / name if (DATA / name).exists() else DATA / "results" / name, result)
+        shutil.copy(MODELS / "dvs128.toml", result.parent / "model.toml")
+    shutil.copy(folder / "field.npz", folder / "result_reconstruction")
 
 
 def _write_plain(folder: Path) -> None:
@@ -262,8 +301,8 @@ def _write_plain(folder: Path) -> None:
     np.save(folder / "light.npy", np.stack([t, 20 + np.cos(9 * t)]))
     np.savez(folder / "light.npz", t=t, radiance=20 + np.cos(9 * t), unit=np.array("lux"))
     write_recordings(folder)
-    shutil.copy(replay.MODELS / "dvs128.toml", folder)
-    shutil.copy(replay.MODELS / "gen31.toml", folder / "latent.toml")
+    shutil.copy(MODELS / "dvs128.toml", folder)
+    shutil.copy(MODELS / "gen31.toml", folder / "latent.toml")
     for name, text in (("rich", RICH), ("recipe", RECIPE), ("menu", MENU)):
         (folder / f"{name}.toml").write_text(text)
     chance = np.random.default_rng(0)
@@ -337,22 +376,12 @@ def fingerprints(folder: Path) -> Prints:
     return found
 
 
-class Hang(BaseException):
-    """The CPU time is used up."""
-
-
 def run_here(words: Sequence[str], folder: Path, cpu_s: float) -> Outcome:
     """Run the command line in this process, which spares a fork; for what is refused, or done at once."""
-
-    def too_long(*_: object) -> None:
-        raise Hang
-
-    out, err = io.StringIO(), io.StringIO()
-    home, before, began = os.getcwd(), signal.signal(signal.SIGVTALRM, too_long), time.process_time()
+    out, err, home, began = io.StringIO(), io.StringIO(), os.getcwd(), time.process_time()
     os.chdir(folder)
-    signal.setitimer(signal.ITIMER_VIRTUAL, cpu_s)
     try:
-        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        with limited(cpu_s), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
             code = pixelid.cli.main.main(list(words))
     except Hang:
         code = -signal.SIGXCPU
@@ -360,45 +389,62 @@ def run_here(words: Sequence[str], folder: Path, cpu_s: float) -> Outcome:
         code = 99
         print(f"escaped: {error!r}", file=err)
     finally:
-        signal.setitimer(signal.ITIMER_VIRTUAL, 0)
-        signal.signal(signal.SIGVTALRM, before)
         os.chdir(home)
     return Outcome(code, err.getvalue(), {}, out.getvalue(), time.process_time() - began)
 
 
-def put(folder: Path, case: Case, other: bytes) -> bytes:
-    """Replace the good file by another; what was there."""
-    place = folder / case.file
-    good = place.read_bytes()
-    place.write_bytes(other)
-    return good
-
-
 def answer(folder: Path, case: Case, mutant: Mutant, cpu_s: int = MOST_CPU_S) -> tuple[Outcome, str]:
     """How a command answers a mutant, and what is wrong with that."""
-    good = put(folder, case, content(mutant))
+    place = folder / case.file
+    good = place.read_bytes() if place.exists() else None
+    place.parent.mkdir(exist_ok=True)
+    place.write_bytes(content(mutant))
+    before = fingerprints(folder)
     try:
-        before = fingerprints(folder)
         words = [*case.words.split(), *(["--quiet"] if case.heavy or len(mutant[0]) % 2 else [])]
         outcome = run(words, folder, cpu_s=cpu_s) if case.heavy else run_here(words, folder, cpu_s)
-        said = complaint(case, outcome, before, fingerprints(folder))
+        said = complaint(case.words, outcome, before, fingerprints(folder))
     finally:
         remove_new(folder, before)
-        (folder / case.file).write_bytes(good)
+        place.unlink(missing_ok=True)
+        if good is not None:
+            place.write_bytes(good)
     return outcome, said
 
 
-def complaint(case: Case, outcome: Outcome, before: Prints, after: Prints) -> str:
-    """What is wrong with an answer; empty when nothing is."""
-    if outcome.code == -signal.SIGXCPU and case.heavy:  # accepted, and at work
+def complaint(words: str, outcome: Outcome, before: Prints, after: Prints, most_s: float = CPU_S) -> str:
+    """What is wrong with the answer to the words of a command; empty when nothing is.
+
+    That is a traceback, the last net's "this is a bug", a crash, more than three lines, control characters, another
+    exit code than 0, 1 or 2 (1 only with a result), too much time or memory, something changed, and something left
+    that was not there and is no result.
+    """
+    command, code, said = words.split()[0], outcome.code, outcome.said
+    if code == -signal.SIGXCPU and any(word in words for word in HEAVY):  # accepted, and at work
         return ""
-    page = {f"{case.words.split()[1]}/report.html"} if case.command == "report" else set()
-    if said := replay.complaint(outcome, set(before) | page, set(after) | page):
-        return said
-    spoiled = [name for name in before.keys() & after.keys() - page if before[name] != after[name]]
-    if spoiled:
+    if any(net in said for net in NETS):
+        return f"not foreseen: {said[-400:]}"
+    if code not in (0, 1, 2):
+        return f"exit code {code}: {said[:300]}"
+    if len(said.splitlines()) > 3 or any(len(line) > MOST_CHARACTERS for line in said.splitlines()):
+        return f"more than three lines: {said[:300]}"
+    if code == 2 and not said.strip():
+        return "exit code 2 and not a word"
+    if printable(said + outcome.printed) != said + outcome.printed:
+        return "control characters"
+    page = {f"{words.split()[1]}/report.html"} if command == "report" else set()
+    old, now = set(before) | page, set(after) | page
+    kept = ("out", ".out.fits", "state.pt")  # of runs that may be continued
+    if [name for name in now - old if not name.startswith(kept)] or (code == 2 and now != old):
+        return f"left: {sorted(now ^ old)[:3]}"
+    if code == 1 and now == old and command != "check":
+        return f"exit code 1 without a result: {said[:300]}"
+    if outcome.bytes > MOST_BYTES:
+        return f"took {outcome.bytes >> 20} MiB"
+    same = [name for name in before.keys() & after.keys() - page if not name.startswith(kept)]
+    if spoiled := [name for name in same if before[name] != after[name]]:
         return f"changed: {spoiled[:3]}"
-    return f"took {outcome.cpu_s:.1f} s" if outcome.code == 2 and outcome.cpu_s > CPU_S else ""
+    return f"took {outcome.cpu_s:.1f} s" if code == 2 and outcome.cpu_s > most_s else ""
 
 
 def remove_new(folder: Path, before: Prints) -> None:
@@ -421,64 +467,3 @@ def chosen(
         found += [(case, mutant) for mutant in chance.sample(made[case.file], count)]
     chance.shuffle(found)
     return found
-
-
-def main() -> int:
-    """Run the loop of the command line; 1 when an answer was wrong."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--each", type=int, default=10, help="mutants of each case")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--heavy", type=int, default=3, help="of those that compute for seconds")
-    parser.add_argument("--only", default="", help="only cases whose file and words contain this")
-    parser.add_argument("--log", type=Path, help="a line for every answer")
-    parser.add_argument("--prepared", type=Path, help="folder of the good files, made where it does not exist")
-    parser.add_argument("--cpu-s", type=int, default=MOST_CPU_S)
-    options = parser.parse_args()
-    import_everything()
-    chance = random.Random(options.seed)
-    with tempfile.TemporaryDirectory(dir="/dev/shm" if os.access("/dev/shm", os.W_OK) else None) as name:
-        folder = Path(name) / "here"
-        folder.mkdir()
-        if options.prepared and options.prepared.exists():
-            shutil.copytree(options.prepared, folder, dirs_exist_ok=True)
-        else:
-            prepare(folder)
-            if options.prepared:
-                shutil.copytree(folder, options.prepared)
-        cases = [case for case in CASES if options.only in f"{case.file}: {case.words}"]
-        made = {file: mutants(folder / file) for file in {case.file for case in cases}}
-        todo = chosen(cases, made, options.each, options.heavy, chance)
-        print(f"{len(todo)} of {sum(len(made[case.file]) for case in cases)} mutants of {len(cases)} cases", flush=True)
-        counts: Counter[tuple[str, int]] = Counter()
-        failures = 0
-        log = options.log.open("a") if options.log else None
-        for case, mutant in todo:
-            began = time.monotonic()
-            outcome, said = answer(folder, case, mutant, options.cpu_s)
-            counts[case.command, outcome.code] += 1
-            words = " ".join(outcome.said.split())
-            line = json.dumps(
-                [
-                    case.file,
-                    mutant[0],
-                    case.words,
-                    outcome.code,
-                    round(outcome.cpu_s, 2),
-                    outcome.bytes >> 20,
-                    words[:400],
-                ]
-            )
-            if log:
-                print(line, file=log, flush=True)
-            if said:
-                failures += 1
-                print(f"{case.file} · {mutant[0]} · {case.words} · {said}", flush=True)
-            del began
-        for (command, code), count in sorted(counts.items()):
-            print(f"{command:12s} {code:4d} {count}")
-    print(f"{sum(counts.values())} runs, {failures} failures")
-    return int(bool(failures))
-
-
-if __name__ == "__main__":
-    sys.exit(main())

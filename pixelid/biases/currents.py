@@ -23,10 +23,7 @@ from typing import Any
 from pixelid.errors import InputError, shown
 
 COARSE_A = (24.8e-6, 3.1e-6, 387.5e-9, 48.437e-9, 6.054e-9, 756e-12, 94e-12, 11e-12)  # by jAER's BitValueCoarse
-MOST_FINE = 255
 MOST_SPLIT = (1 << 24) - 1
-MIRROR, BETA_A_PER_V2, THERMAL_V = 45.0, 2.0 * 170e-6, 26e-3 * 298.0 / 300.0  # of the DVS128's master bias
-EXTERNAL_OHM, INTERNAL_OHM = 8.2e3, 46e3  # where the header does not say; only the external one is in use then
 
 
 @dataclass(frozen=True)
@@ -136,11 +133,13 @@ def currents_of(sensor: str, biases: object) -> Currents:
 
 def master_current_a(biases: Mapping[str, Any]) -> float:
     """The DVS128's master current [A], from the resistors in the header or jAER's own 8.2 kΩ."""
-    ohm = _ohm(biases, "Masterbias.rx", EXTERNAL_OHM)
+    external_ohm, internal_ohm = 8.2e3, 46e3  # where the header does not say; only the external one is in use then
+    ohm = _ohm(biases, "Masterbias.rx", external_ohm)
     if str(biases.get("Masterbias.internalResistorUsed", "false")).lower() == "true":
-        ohm += _ohm(biases, "Masterbias.rint", INTERNAL_OHM)
-    weak = THERMAL_V * math.log(MIRROR) / ohm
-    return weak + 2.0 * (1.0 - 1.0 / math.sqrt(MIRROR)) ** 2 / (BETA_A_PER_V2 * ohm**2)
+        ohm += _ohm(biases, "Masterbias.rint", internal_ohm)
+    mirror, beta_a_per_v2, thermal_v = 45.0, 2.0 * 170e-6, 26e-3 * 298.0 / 300.0  # of the DVS128's master bias
+    weak = thermal_v * math.log(mirror) / ohm
+    return weak + 2.0 * (1.0 - 1.0 / math.sqrt(mirror)) ** 2 / (beta_a_per_v2 * ohm**2)
 
 
 def _chip(sensor: str) -> Chip | None:
@@ -156,9 +155,10 @@ def _coarse_fine(name: str, biases: Mapping[str, Any]) -> Current | None:
     keys = [f"{start}.BitValueCoarse", f"{start}.BitValueFine"]
     if any(key not in biases for key in keys):
         return None
-    coarse, fine = _whole(biases, keys[0], len(COARSE_A) - 1), _whole(biases, keys[1], MOST_FINE)
+    most_fine = 255
+    coarse, fine = _whole(biases, keys[0], len(COARSE_A) - 1), _whole(biases, keys[1], most_fine)
     off = str(biases.get(f"{start}.Enabled", "true")).lower() != "true"
-    return Current(name, {"coarse": coarse, "fine": fine}, COARSE_A[coarse] * fine / MOST_FINE, off)
+    return Current(name, {"coarse": coarse, "fine": fine}, COARSE_A[coarse] * fine / most_fine, off)
 
 
 def _split(name: str, biases: Mapping[str, Any]) -> Current | None:

@@ -34,14 +34,12 @@ from typing import Any
 from pixelid.biases.currents import Current, Currents
 from pixelid.statistics import Z95
 
-KAPPA = 0.7  # of NMOS and PMOS
 RESET_FARAD, RESET_VOLT = 20e-15, 0.8
 LOAD_FARAD, THERMAL_VOLT = 131.167e-15, 25e-3
 SPLITTER_SD, LEAKAGE_A, MASTER_SD = 0.25, 1e-12, 0.2
 KAPPA_SD, GAIN_SD = 0.1, 0.2
 RESET_CAPACITOR_SD, RESET_SWING_SD = 0.4, 0.2
 LOAD_SD, TRANSCONDUCTANCE_SD, TEMPERATURE_SD = 0.2, 0.2, 0.07
-LIMITED_BY_FOLLOWER = 0.5  # of the photoreceptor's current: beyond, the follower alone does not make the cutoff
 UNITS = {"on_threshold": "log radiance", "off_threshold": "log radiance", "refractory_s": "s", "sf_cutoff_hz": "Hz"}
 
 
@@ -139,8 +137,9 @@ def _threshold(currents: Currents, role: str, sign: float) -> Value | str:
         )
     errors = {"kappa": math.sqrt(5.0) * KAPPA_SD, "capacitor ratio": GAIN_SD}
     errors |= {setting: spread / log_ratio for setting, spread in spreads.items()}
-    formula = f"κn/κp² · C2/C1 · ln(I_{names[0]} / I_{names[1]}), κ = {KAPPA:g}, C1/C2 = {currents.of.gain:g}"
-    return Value(log_ratio / (KAPPA * currents.of.gain), UNITS[f"{role}_threshold"], formula, errors)
+    kappa = 0.7  # of NMOS and PMOS
+    formula = f"κn/κp² · C2/C1 · ln(I_{names[0]} / I_{names[1]}), κ = {kappa:g}, C1/C2 = {currents.of.gain:g}"
+    return Value(log_ratio / (kappa * currents.of.gain), UNITS[f"{role}_threshold"], formula, errors)
 
 
 def _dead_time(currents: Currents) -> Value | str:
@@ -165,7 +164,8 @@ def _cutoff(currents: Currents) -> Value | str:
     if missing:
         return missing
     current, before = currents.roles["follower"], currents.roles["photoreceptor"]
-    if current.ampere >= LIMITED_BY_FOLLOWER * before.ampere:
+    limited_by_follower = 0.5  # of the photoreceptor's current: beyond, the follower alone does not make the cutoff
+    if current.ampere >= limited_by_follower * before.ampere:
         return (
             f"{current.setting} is {current.ampere / before.ampere:.3g} × {before.setting}, half of it or more: "
             "the source follower does not make the cutoff alone"

@@ -20,9 +20,7 @@ from pixelid.errors import InputError
 from pixelid.statistics import Z95
 
 FILE = "biases.json"
-FREEDOM = 4.0  # of Student's t: that of tables.fit
 DRAWS = 4000  # 95 % limits to 3 % of their half-width
-MOST_LOST = 0.025  # of the draws may have no value at a code before the interval is open
 BEYOND = 0.5  # of the measured range, beyond either end: an extrapolation further than that is none
 
 
@@ -76,14 +74,16 @@ class Quantity:
         rng = np.random.default_rng(seed)
         drawn = []
         depart = np.sqrt(self.departure * self.laws[0].distances(codes, self.settings))
+        freedom = 4.0  # of Student's t: that of tables.fit
         for law in self.laws:
             count = round(DRAWS * law.weight)
             x, scatter = law.draw(count, rng)
-            noise = scatter[:, None] * rng.standard_t(FREEDOM, (count, len(codes)))
+            noise = scatter[:, None] * rng.standard_t(freedom, (count, len(codes)))
             drawn.append(law.log_value(codes, x) + noise + depart * rng.standard_normal((count, len(codes))))
         every = np.concatenate(drawn)
         low, high = np.nanpercentile(np.where(np.isnan(every).all(0), 0.0, every), [2.5, 97.5], axis=0)
-        lost = np.isnan(every).mean(0) > MOST_LOST
+        most_lost = 0.025  # of the draws may have no value at a code before the interval is open
+        lost = np.isnan(every).mean(0) > most_lost
         best = self.laws[0]
         outside = np.maximum(best.low - codes, codes - best.high) / (best.high - best.low)
         each = np.stack([law.log_value(codes) for law in self.laws])

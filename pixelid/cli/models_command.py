@@ -14,9 +14,6 @@ Example:
     pixelid models imx636 --bias diff_on=-20,refr=10
 """
 
-ONE_TABLE = 110  # columns of a terminal from which on a value and where it comes from fit in one line
-MOST_OF_NAMES = 34  # columns: the library's in one line, a described effect's in two
-
 
 @click.command("models", epilog=EXAMPLE)
 @click.argument("name", required=False)
@@ -84,7 +81,8 @@ def _names(head: str, names):
     """A column of names that nothing makes narrower."""
     from rich.table import Column
 
-    return Column(head, width=min(max(map(len, [head, *names])), MOST_OF_NAMES), overflow="fold")
+    most_of_names = 34  # columns: the library's in one line, a described effect's in two
+    return Column(head, width=min(max(map(len, [head, *names])), most_of_names), overflow="fold")
 
 
 def _print_one(console, model) -> None:
@@ -98,7 +96,8 @@ def _print_one(console, model) -> None:
         f"radiance in {model.radiance_unit}",
         highlight=False,
     )
-    wide = console.width >= ONE_TABLE
+    one_table = 110  # columns of a terminal from which on a value and where it comes from fit in one line
+    wide = console.width >= one_table
     last = ["source"] if wide else []
     value, unit, free = (Column(head, no_wrap=True) for head in ("value", "unit", "free"))
     table = Table(_names("parameter", model.parameters), value, unit, "bounds", free, *last)

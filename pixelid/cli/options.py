@@ -151,10 +151,12 @@ def _declared(option: Option) -> Decorator:
     shown: dict[str, Any] = {"help": stated.help, "metavar": stated.metavar}
     if option.kind == "bool":
         return click.option(*flags, name, is_flag=True, help=stated.help)
-    if option.default not in (None, ()):
+    if option.default not in (None, (), ""):
         shown |= {"default": option.default, "show_default": True}
-    if option.kind in ("numbers", "words"):
-        shown |= {"nargs": stated.count} if option.kind == "numbers" else {"multiple": True}
+    if option.kind == "words":
+        shown["multiple"] = True
+    elif stated.count:
+        shown["nargs"] = stated.count
     return click.option(*flags, name, type=_type_of(option), **shown)
 
 
@@ -166,8 +168,10 @@ def _type_of(option: Option) -> click.ParamType:
         return click.Choice(stated.choices)
     if option.kind == "int" and stated.word:
         return IntOrWord(int(stated.low), int(stated.high), stated.word)
-    if option.kind == "int":
+    if option.kind in ("int", "wholes"):
         return click.IntRange(int(stated.low), int(stated.high))
+    if option.kind == "str":
+        return click.STRING
     return Number(max(stated.low, stated.above), stated.high, open_low=stated.above > stated.low)
 
 

@@ -9,8 +9,6 @@ from typing import Any
 
 from pixelid.public import in_notebook
 
-BETWEEN_S = 0.3  # updates of a notebook's line
-
 
 @contextmanager
 def bar(quiet: bool, compiles: bool = False) -> Iterator[Callable[[str, float], None]]:
@@ -56,9 +54,11 @@ def _line_in_notebook() -> Iterator[Callable[[str, float], None]]:
     shown_at = 0.0
     handle: Any = display(HTML(""), display_id=True)
 
+    between_s = 0.3  # updates of a notebook's line
+
     def report(what: str, fraction: float) -> None:
         nonlocal shown_at
-        if time.monotonic() - shown_at > BETWEEN_S:
+        if time.monotonic() - shown_at > between_s:
             shown_at = time.monotonic()
             words = f"{escape(printable(what))}, {100 * fraction:.0f} %"
             handle.update(HTML(f'<progress value="{fraction:.3f}"></progress> {words}'))

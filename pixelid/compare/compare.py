@@ -28,10 +28,6 @@ from pixelid.recordings.selection import only
 from pixelid.results import Result, Table, check_kinds, read_result, required
 from pixelid.status import Status
 
-FEW_PIXELS = 8  # whose scatter is known to a quarter
-MOST_K_HAT = 0.7  # Pareto shape from which on importance weights cannot be relied on (`sample.k_hat`)
-DECISIVE = 0.975  # chance below which a paired held-out difference stays, by Student's t over pixels
-
 
 @dataclass(frozen=True)
 class Contender:
@@ -276,7 +272,8 @@ def _about_loo(contenders: Mapping[str, Contender]) -> str:
     if not known:
         return ""
     said = ", ".join(f"{name} {loo['elpd']:.1f} ± {loo['se']:.2g}" for name, loo in known.items())
-    doubted = [f"{name} (k̂ {loo['worst_k_hat']:.2f})" for name, loo in known.items() if loo["worst_k_hat"] > MOST_K_HAT]
+    most_k_hat = 0.7  # Pareto shape from which on importance weights cannot be relied on (`sample.k_hat`)
+    doubted = [f"{name} (k̂ {loo['worst_k_hat']:.2f})" for name, loo in known.items() if loo["worst_k_hat"] > most_k_hat]
     doubted += [f"{name} (not converged)" for name, loo in known.items() if loo["status"] != Status.converged]
     words = f"; not to be relied on for {', '.join(doubted)}: go by the held-out pixels" if doubted else ""
     return f". PSIS-LOO over pixels, in nats: {said}{words}"
@@ -285,7 +282,8 @@ def _about_loo(contenders: Mapping[str, Contender]) -> str:
 def _undecided(contenders: Mapping[str, Contender], best: str) -> list[str]:
     """Models that held-out pixels do not distinguish from the best, nearest first; the others have clearly lost."""
     gains = {name: contenders[best].held_out - c.held_out for name, c in contenders.items() if name != best}
-    needed = float(student.ppf(DECISIVE, len(contenders[best].held_out) - 1))
+    decisive = 0.975  # chance below which a paired held-out difference stays, by Student's t over pixels
+    needed = float(student.ppf(decisive, len(contenders[best].held_out) - 1))
     order = sorted(gains, key=lambda name: float(gains[name].sum()))
     return [name for name in order if gains[name].sum() <= needed * standard_error(gains[name])]
 
@@ -299,6 +297,7 @@ def _sentence(contenders: Mapping[str, Contender], best: str) -> str:
         nearest = min(gains, key=lambda name: float(gains[name].sum()))
         return f"the data support {best}: held-out pixels are {said[nearest]} likelier than under {nearest}"
     simpler = min((best, *open_), key=lambda name: len(contenders[name].result.coordinates))
-    few = "" if pixels >= FEW_PIXELS else f"; {pixels} pixels are few to decide by"
+    few_pixels = 8  # whose scatter is known to a quarter
+    few = "" if pixels >= few_pixels else f"; {pixels} pixels are few to decide by"
     others = " and ".join(f"{name} ({said[name]})" for name in open_)
     return f"the data do not decide between {best} and {others}: take the simplest, {simpler}{few}"

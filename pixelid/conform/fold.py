@@ -7,16 +7,41 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import numpy as np
+
 from pixelid import stages
-from pixelid.conform.power import nats_needed
 from pixelid.conform.removals import BANDWIDTH, Removal
 from pixelid.conform.row import ABSENT, NOT_DECIDABLE, NOT_TESTED, PRESENT, STAGES, Row, Strength
+from pixelid.gap.attribute.significance import gain_of_chance
 from pixelid.gap.confirm.intervals import open_sides
 from pixelid.gap.criteria import Criteria
 from pixelid.gap.result import GapReport
 from pixelid.inspection.timestamps import TimestampSignature
 from pixelid.model.model import Model
 from pixelid.parameters.parameter import precision_in_words
+
+
+def nats_needed(effect: str, alpha_each: float, tried: int, pixels: Mapping[str, Any], criteria: Criteria) -> float:
+    """Nats on the training pixels that an effect has to be worth for a search to name it with a power of 80 %.
+
+    A gain of S nats expected is a χ² of non-centrality λ = 2 S, of which √λ has about unit variance.  To be named the
+    gain has to be significant on the pixels that fit, among `tried` effects, and to exceed so many of its standard
+    errors on the pixels that select, where it is λ/2 ± √λ.
+
+    Args:
+        effect: Its name.
+        alpha_each: Chance that naming may err by.
+        tried: Number of effects tried.
+        pixels: How many "fit" and "select"; both together train, and with too few pixels all do either.
+        criteria: Of the search.
+    """
+    fit, select = int(pixels["fit"]), int(pixels["select"])
+    train = fit + select if pixels.get("apart", True) else max(fit, select)
+    power_sd = 0.84  # standard deviations above what is required, for a power of 80 %
+    significant = np.sqrt(2.0 * gain_of_chance(effect, alpha_each, tried)) + power_sd
+    leading = 2.0 * (criteria.min_lead_standard_errors + power_sd)
+    return 0.5 * train * max(significant**2 / max(fit, 1), leading**2 / max(select, 1))
+
 
 THRESHOLDS = ("on_threshold", "off_threshold")
 

@@ -21,8 +21,6 @@ from pixelid.status import Status
 from pixelid.tables.latency.settings import BEYOND
 from pixelid.tables.rates.bias_law import MOST_MV
 
-POINTS = 201  # settings looked at within the fitted range, and as many beyond either end where biases can be
-RATE_POINTS = 61  # of them, for events: between them straight in the logarithm
 OPEN = np.log(1e3)  # half of an interval in ln: a factor of a thousand either way predicts nothing
 QUANTITIES = {"bandwidth": "Hz", "noise": "events/s", "rate": "events/s"}
 
@@ -72,8 +70,9 @@ def recommend_setting(
     low, high = fit.range_mv
     reach = BEYOND * (high - low)
     lowest, highest = max(low - reach, 0.0), min(high + reach, MOST_MV)
-    inside = np.linspace(low, high, POINTS)
-    bias = np.concatenate([np.linspace(lowest, low, POINTS)[:-1], inside, np.linspace(high, highest, POINTS)[1:]])
+    points = 201  # settings looked at within the fitted range, and as many beyond either end where biases can be
+    inside = np.linspace(low, high, points)
+    bias = np.concatenate([np.linspace(lowest, low, points)[:-1], inside, np.linspace(high, highest, points)[1:]])
     within = (bias >= low) & (bias <= high)
     said = predictions(fit, bias, frequency if "rate" in wanted else None, seed)
     margins = {name: said[name].margin(value, name == "bandwidth") for name, value in wanted.items()}
@@ -125,8 +124,9 @@ def predictions(fit: BiasFit, bias: np.ndarray, frequency_hz: float | None, seed
         if line is not None:
             middle, sd = line.at(bias)
             found[name] = Prediction(middle, middle - line.reach * sd, middle + line.reach * sd)
+    rate_points = 61  # of them, for events: between them straight in the logarithm
     if frequency_hz is not None:
-        coarse = np.linspace(bias.min(), bias.max(), RATE_POINTS)
+        coarse = np.linspace(bias.min(), bias.max(), rate_points)
         drawn = fit.log_rates(coarse, frequency_hz, np.random.default_rng(seed))
         low, middle, high = (np.interp(bias, coarse, q) for q in np.percentile(drawn, [2.5, 50.0, 97.5], axis=0))
         found["rate"] = Prediction(middle, low, high)

@@ -11,7 +11,6 @@ from pixelid.figures.style import IMPROVED, INK, MUTED, legend_above, new_axes, 
 from pixelid.figures.words import in_words, light_unit, stimulus
 from pixelid.stimuli.files import shape
 
-LEAST_CHANGE = 1.05  # ratio of standard errors from which an arrow has a length
 LABELS = {"bandwidth": "cutoff (Hz)", "noise": "noise (1/s)", "rate": "events (1/s)"}
 
 
@@ -60,9 +59,10 @@ def draw_widths(result: dict, axis: Any = None) -> Any:
     """Standard error of every parameter before and after the recommended stimulus; returns the axis."""
     names = list(result["widths_before"])[::-1]
     axis = axis if axis is not None else new_axis(7.5, 0.3 * len(names) + 0.8)
+    least_change = 1.05  # ratio of standard errors from which an arrow has a length
     for row, name in enumerate(names):
         ends = [result[key][name]["std_coordinate"] for key in ("widths_before", "widths_after")]
-        if ends[0] > LEAST_CHANGE * ends[1]:
+        if ends[0] > least_change * ends[1]:
             arrow = {"arrowstyle": "->", "color": IMPROVED, "linewidth": 1.0}
             axis.annotate("", (ends[1], row), (ends[0], row), arrowprops=arrow)
         axis.plot(ends[0], row, "o", color=MUTED, label=None if row else "before")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pixelid.fit.table import number
+from pixelid.results import number
 
 RANKING_HEADINGS = ("stimulus", "expected information [nats]", "±", "per second", "seconds", "events")
 WIDTHS_HEADINGS = ("parameter", "value", "95 % before", "95 % after", "narrower by", "unit")

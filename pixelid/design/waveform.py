@@ -31,12 +31,7 @@ if TYPE_CHECKING:
 
 RATE_HZ = 48_000.0  # of any sound card
 REST_S = 1.0  # before the light: the pixel must be at steady state at its first sample (docs/tutorial.md)
-TAIL_S = 0.05  # after the last sample, so that a player's end is not the light's
-PULSE_S = 2e-3  # of the trigger: many ticks of any camera's clock, and short against any stimulus
-LEAST_SAMPLES_PER_PERIOD = 4  # of the fastest part of a chirp; twice the Nyquist rate, where a converter's filter ends
-SAMPLES_PER_PERIOD = 10  # of a chirp whose end a model chooses: the held samples then differ from a sine by 10 %
 START_HZ = 3.0  # of a chirp; a tenth of its end where that is slower
-LEAST_TOP_HZ, MOST_TOP_HZ = 1.0, 20_000.0  # of a chirp whose end a model chooses; LED drivers end above
 
 
 @dataclass(frozen=True)
@@ -72,7 +67,8 @@ class Waveform:
     def trigger(self) -> Bool[np.ndarray, " samples"]:
         """Whether the trigger is high."""
         before, _ = self._rests
-        pulse = max(min(round(PULSE_S * self.rate_hz), len(self.stimulus.t) // 2), 1)
+        pulse_s = 2e-3  # of the trigger: many ticks of any camera's clock, and short against any stimulus
+        pulse = max(min(round(pulse_s * self.rate_hz), len(self.stimulus.t) // 2), 1)
         high = np.zeros(len(self.t), bool)
         for edge in (before, before + len(self.stimulus.t) - 1):
             high[edge : edge + pulse] = True
@@ -81,7 +77,8 @@ class Waveform:
     @property
     def _rests(self) -> tuple[int, int]:
         """Samples before and after the light: one at least, for the trigger to rise from and to fall to."""
-        return max(round(self.rest_s * self.rate_hz), 1), max(round(TAIL_S * self.rate_hz), 2)
+        tail_s = 0.05  # after the last sample, so that a player's end is not the light's
+        return max(round(self.rest_s * self.rate_hz), 1), max(round(tail_s * self.rate_hz), 2)
 
     def save(self, path: str | Path, *, bits: int = 16, overwrite: bool = False) -> Path:
         """Write a .wav or .csv for a generator, and the light's expected trace next to it, NAME_light.csv.
@@ -156,9 +153,11 @@ def top_frequency_hz(model: Model, level: float, rate_hz: float = RATE_HZ) -> fl
     """
     circuit = model.circuit()
     poles = exact(circuit, level, "pixel") if circuit.photoreceptor != "unlimited" else later_poles(circuit)
-    reached = bandwidth_hz(poles) if len(poles) else MOST_TOP_HZ
-    highest = min(MOST_TOP_HZ, rate_hz / SAMPLES_PER_PERIOD)
-    return float(f"{min(max(reached, LEAST_TOP_HZ), highest):.2g}")
+    least_top_hz, most_top_hz = 1.0, 20_000.0  # of a chirp whose end a model chooses; LED drivers end above
+    reached = bandwidth_hz(poles) if len(poles) else most_top_hz
+    samples_per_period = 10  # of a chirp whose end a model chooses: the held samples then differ from a sine by 10 %
+    highest = min(most_top_hz, rate_hz / samples_per_period)
+    return float(f"{min(max(reached, least_top_hz), highest):.2g}")
 
 
 def _look_up(source: str | Path, model: Model | None) -> tuple[str, str | None, dict[str, float]]:
@@ -194,12 +193,14 @@ def _completed(
     values = {**own, **asked}
     if model is not None and "level" not in values and "level" in known:
         values["level"] = brightest_level(model)
+    # Of the fastest part of a chirp; twice the Nyquist rate, where a converter's filter ends
+    least_samples_per_period = 4
     if kind == "chirp":
         if model is not None and "stop_hz" not in asked and "stop_hz" not in own:
             values["stop_hz"] = top_frequency_hz(model, values["level"], rate_hz)
         stop = values.get("stop_hz", known["stop_hz"])
-        if isinstance(stop, int | float) and stop > rate_hz / LEAST_SAMPLES_PER_PERIOD:
-            most = rate_hz / LEAST_SAMPLES_PER_PERIOD
+        if isinstance(stop, int | float) and stop > rate_hz / least_samples_per_period:
+            most = rate_hz / least_samples_per_period
             raise InputError(f"top_hz: expected at most {most:g} Hz at {rate_hz:g} samples/s, found {stop:g}")
         if "start_hz" not in values and isinstance(stop, int | float) and stop <= 2 * START_HZ:
             values["start_hz"] = stop / 10

@@ -3,7 +3,7 @@
 The closed form of `equations.py` divides by every difference of poles, so it loses the digits of the product of
 their relative gaps.  Here nothing is divided.  Only + − × on the components (and √a, to bring the slope to the
 scale of the others), so complex steps pass through as exactly as through the closed form, which divided
-differences of conjugate poles (`hold.py`) would not allow.
+differences of conjugate poles would not allow.
 
 Of an ordinary step the power series is summed on the state itself, stage by stage (`_by_series`), in a sixth of the
 time or less.  Of a long one exp(M) − 1 is summed at M/2^s and doubled s times as F ← 2F + F²: without the identity in

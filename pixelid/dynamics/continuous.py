@@ -1,8 +1,7 @@
 """The pixel in continuous time: the equations of `equations.py` as a right-hand side for any ODE solver.
 
 `right_hand_side` leaves out the stages that are absent, so that nothing infinitely stiff is handed over, and uses
-only + − × ÷ on the components: the same function serves floats, complex numbers, CasADi symbols and torch
-tensors.  Around it, one thin adapter per solver library; CasADi and torch are imported where they are used.
+only + − × ÷ on the components: the same function serves floats, complex numbers, CasADi symbols and torch tensors.
 
 The input enters as u = ln L and L, both: the photoreceptor's coefficients follow the light at every instant, which
 is what the discrete engines approach as their steps shrink.
@@ -13,17 +12,39 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import numpy as np
+from pixelid.dynamics.equations import (
+    PRESENT_BELOW,
+    derivative_low_pass,
+    derivatives_photoreceptor,
+    photoreceptor_rates,
+)
+from pixelid.dynamics.trajectory import STAGES, Dynamics
 
-from pixelid.dynamics.equations import derivative_low_pass, derivatives_photoreceptor, photoreceptor_rates
-from pixelid.dynamics.hold import photoreceptor_kind, present_states
-from pixelid.dynamics.trajectory import Dynamics
+
+def photoreceptor_kind(dynamics: Dynamics) -> str:
+    """How many poles the dynamics have there: "unlimited", "one_pole" or "second_order"."""
+    if dynamics.beta < PRESENT_BELOW:
+        return "second_order"
+    return "one_pole" if dynamics.gamma > 0 else "unlimited"
+
+
+def present_states(dynamics: Dynamics) -> tuple[str, ...]:
+    """The names, in signal order, of the states that the dynamics have; absent stages left out."""
+    present = {
+        "photoreceptor_slope": photoreceptor_kind(dynamics) == "second_order",
+        "photoreceptor": photoreceptor_kind(dynamics) != "unlimited",
+        "source_follower": dynamics.follower < PRESENT_BELOW,
+        "extra_pole": dynamics.extra_pole < PRESENT_BELOW,
+        "lower_cutoff": dynamics.lower_cutoff > 0,
+        "differencing": dynamics.differencing < PRESENT_BELOW,
+    }
+    return tuple(name for name in STAGES if present[name])
 
 
 def right_hand_side(dynamics: Dynamics, values: Sequence[Any] | None = None) -> tuple[int, Callable]:
     """(order, f) with f(state, u, radiance) → derivatives, both tuples of `order` components.
 
-    The components are those of `hold.present_states(dynamics)`, in rad/s and log-radiance units.  `values`, in the
+    The components are those of `present_states(dynamics)`, in rad/s and log-radiance units.  `values`, in the
     order of the fields of `Dynamics`, replaces the numbers (by symbols, tensors); `dynamics` alone decides which
     stages are there.
     """
@@ -53,55 +74,3 @@ def right_hand_side(dynamics: Dynamics, values: Sequence[Any] | None = None) -> 
         return tuple(dx[name] for name in names)
 
     return len(names), derivatives
-
-
-def steady_state(dynamics: Dynamics, u: float) -> np.ndarray:
-    """(order,) state under constant log radiance u: every output at u, slopes and high-passed outputs at zero."""
-    names = present_states(dynamics)
-    zero = {"photoreceptor_slope"} | ({"differencing"} if "lower_cutoff" in names else set())
-    return np.array([0.0 if name in zero else u for name in names])
-
-
-def scipy_function(dynamics: Dynamics, log_radiance: Callable) -> Callable:
-    """f(t, x) for `scipy.integrate.solve_ivp`: x (order,) or (order, k); log_radiance(t) → u for float t."""
-    _, derivatives = right_hand_side(dynamics)
-
-    def function(t, x):
-        u = log_radiance(t)
-        return np.stack(derivatives(tuple(x), u, np.exp(u)))
-
-    return function
-
-
-def casadi_function(dynamics: Dynamics) -> Any:
-    """`casadi.Function` (x (order,), u, p (8,)) → dx/dt (order,), differentiable in everything.
-
-    p are the fields of `Dynamics` in their order; those of absent stages have no influence.
-    """
-    import casadi as ca
-
-    x, u, p = ca.SX.sym("x", len(present_states(dynamics))), ca.SX.sym("u"), ca.SX.sym("p", len(dynamics))
-    _, derivatives = right_hand_side(dynamics, ca.vertsplit(p))
-    dx = ca.vertcat(*derivatives(tuple(ca.vertsplit(x)), u, ca.exp(u)))
-    return ca.Function("pixel", [x, u, p], [dx], ["x", "u", "p"], ["dx"])
-
-
-def torch_module(dynamics: Dynamics, log_radiance: Callable) -> Any:
-    """`torch.nn.Module` f(t, x) → dx/dt for `torchdiffeq.odeint`: x (…, order), log_radiance(t) → u (…) tensor.
-
-    `module.values` (8,) float64, the fields of `Dynamics`, is a parameter to differentiate or fit; entries of
-    absent stages get no gradient.  Explicit solvers need steps below about 3 / the fastest cutoff.
-    """
-    import torch
-
-    class Pixel(torch.nn.Module):
-        def __init__(self):
-            super().__init__()
-            self.values = torch.nn.Parameter(torch.tensor(list(dynamics), dtype=torch.float64))
-
-        def forward(self, t, x):
-            _, derivatives = right_hand_side(dynamics, tuple(self.values))
-            u = log_radiance(t)
-            return torch.stack(derivatives(x.unbind(-1), u, torch.exp(u)), dim=-1)
-
-    return Pixel()

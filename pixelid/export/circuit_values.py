@@ -21,7 +21,6 @@ from pixelid.stages.photoreceptor import NOMINAL
 
 DVS128 = Gauge({"q_in": NOMINAL.q_in, "q_mil": NOMINAL.q_mil}, {"A_loop": (NOMINAL.A_loop / NOMINAL.A_amp, "A_amp")})
 BACK_GATE = NOMINAL.A_loop / NOMINAL.A_amp
-MIN_LOOP_GAIN = 1.0  # positive is all that is asked
 
 
 @dataclass(frozen=True)
@@ -61,7 +60,8 @@ def _ratio(alpha: float, beta: float, gamma: float) -> float:
 
 def _always(alpha: float, beta: float, gamma: float) -> Physical:
     r = _ratio(alpha, beta, gamma)
-    x = 0.0 if r > 1.0 else (1.0 + MIN_LOOP_GAIN) / r - 1.0
+    min_loop_gain = 1.0  # positive is all that is asked
+    x = 0.0 if r > 1.0 else (1.0 + min_loop_gain) / r - 1.0
     loop = r * (1.0 + x) - 1.0
     amp = max(loop / BACK_GATE, 2.0 * x)  # q_mil = x q/A_amp stays below q/2
     q = 1.0 / gamma

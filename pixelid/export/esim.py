@@ -18,8 +18,6 @@ from pixelid.export.noise_rates import leak_rate
 from pixelid.model.model import Model
 
 THERMAL_VOLTAGE_MV = 25.0
-# Of intensity, added to images that have no dark current: a black pixel must not be ln 0.  A 2500th of a grey level.
-NO_BLACK = 1e-6
 
 CARRIED = {
     "second_order_photoreceptor": "",
@@ -38,6 +36,9 @@ def export(model: Model, light: Light) -> Exported:
     """The flags of the improved ESIM for a circuit."""
     circuit = model.circuit()
     values = circuit_values(model)
+    # Of intensity, added to images that have no dark current: a black pixel must not be ln 0.  A 2500th of a grey
+    # level.
+    no_black = 1e-6
     entries = (
         Entry("contrast_threshold_pos", circuit.on_threshold, "ln", "on_threshold"),
         Entry("contrast_threshold_neg", circuit.off_threshold, "ln", "off_threshold"),
@@ -50,7 +51,7 @@ def export(model: Model, light: Light) -> Exported:
         *_photoreceptor(model, light, values),
         *_cutoffs(model),
         Entry("use_log_image", 1, "", "images show radiance, not its logarithm"),
-        Entry("log_eps", 0.0 if circuit.dark > 0 else NO_BLACK, "", "of intensity; keeps black pixels from ln 0"),
+        Entry("log_eps", 0.0 if circuit.dark > 0 else no_black, "", "of intensity; keeps black pixels from ln 0"),
     )  # fmt: skip
     return Exported(
         "esim", "improved ESIM (github.com/wengflow/rpg_esim at 839166d)", model.name, light, entries,

@@ -13,8 +13,6 @@ import re
 from collections import defaultdict
 from typing import Any
 
-MOST_NAMES = 60  # ticks of an axis that are names and not numbers
-
 
 def mark_series(figure: Any) -> None:
     """Give ids to the artists of every label in the figure's legends.
@@ -91,7 +89,8 @@ def _scale(axis: Any) -> dict[str, Any]:
     scale = {"ends": [low, high], "scale": axis.get_scale(), "label": " ".join(axis.get_label_text().split())}
     if scale["scale"] == "symlog":
         scale["linear"] = float(axis.get_transform().linthresh)
-    labels = [text.get_text() for text in axis.get_ticklabels()][:MOST_NAMES]
+    most_names = 60  # ticks of an axis that are names and not numbers
+    labels = [text.get_text() for text in axis.get_ticklabels()][:most_names]
     if isinstance(axis.get_major_locator(), FixedLocator) and any(re.search(r"[^\W\d]{2}", label) for label in labels):
         scale["names"] = dict(zip([float(at) for at in axis.get_ticklocs()], labels, strict=False))
     return scale

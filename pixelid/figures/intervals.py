@@ -9,8 +9,6 @@ from typing import Any
 from pixelid.figures.style import IMPROVED, INK, MUTED, OFF, legend_above, new_axis, styled
 from pixelid.figures.words import in_words
 
-WIDEST = 30.0  # times the reference, on either side, beyond which an interval ends in an arrow
-
 
 @styled
 def draw_intervals(
@@ -33,13 +31,14 @@ def draw_intervals(
     truth = truth or {}
     shown = {name: p for name, p in parameters.items() if not p["fixed"] and (p["value"] or 0.0) > 0.0}
     axis = axis if axis is not None else new_axis(7.0, 0.9 + 0.26 * len(shown))
+    widest = 30.0  # times the reference, on either side, beyond which an interval ends in an arrow
     for row, (name, entry) in enumerate(reversed(shown.items())):
         one = (reference or {}).get(name) or entry["value"]
         colour = INK if entry["identified"] else MUTED
         low, high = (None if end is None else end / one for end in entry["interval_95"] or (None, None))
         ends = [
-            max(low or 0.0, 1.0 / WIDEST),
-            min(high if high is not None and math.isfinite(high) else math.inf, WIDEST),
+            max(low or 0.0, 1.0 / widest),
+            min(high if high is not None and math.isfinite(high) else math.inf, widest),
         ]
         axis.plot(ends, [row, row], color=colour)
         for end, kept, mark in ((low, ends[0], "<"), (high, ends[1], ">")):

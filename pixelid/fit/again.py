@@ -21,10 +21,6 @@ from pixelid.simulate.laws import rules_of
 from pixelid.simulate.light import noise_step
 from pixelid.stimuli.pixel_lights import in_a_row, lights_in
 
-# Of all recordings together.  The shipped pixel needs 1e5 a second in bright light; a bandwidth hundreds of times as
-# high, which only a fit that ran away has, would take hours, and its noise would look like the thresholds'.
-MOST_STEPS = 5e7
-
 
 def simulate_again(
     recordings: Sequence[Recording], truth: Model, pixels: np.ndarray, between: str | None, seed: int
@@ -63,4 +59,7 @@ def can_be_simulated(recordings: Sequence[Recording], model: Model) -> bool:
         assert light is not None
         brightest = max(float(one.radiance.max()) for one in lights_in(light))
         steps += light.duration_s / float(noise_step(rules, brightest + circuit.dark))
-    return steps < MOST_STEPS
+    # Of all recordings together.  The shipped pixel needs 1e5 a second in bright light; a bandwidth hundreds of times
+    # as high, which only a fit that ran away has, would take hours, and its noise would look like the thresholds'.
+    most_steps = 5e7
+    return steps < most_steps

@@ -28,9 +28,7 @@ from pixelid.stimuli.pixel_lights import lights_in
 
 DF = 4.0  # degrees of freedom of the priors: heavy tails, and still a variance
 FAR = 2.5  # times half the 95 % interval of a recording's alignment, five standard deviations: how far its delay may go
-MOST_OFFSET = 0.5  # of the dimmest light: what is left of it stays positive
 MEASURED = 0.5  # of what crystals keep: a rate with a smaller error was measured
-REWEIGHTINGS = 50  # more than enough for a fixed point of a few dozen rates
 
 
 def with_bench(model: Model, recordings: Sequence[Recording], delays: bool = True) -> Model:
@@ -68,8 +66,9 @@ def of_recording(recording: Recording, delays: bool = True) -> list[Parameter]:
         parameters.append(delay)
     if bench.level_sd > 0:
         parameters.append(replace(LIGHT_GAIN, name=f"{LIGHT_GAIN.name}[{name}]", prior=Prior(0.0, bench.level_sd, DF)))
+    most_offset = 0.5  # of the dimmest light: what is left of it stays positive
     if bench.offset_sd > 0:
-        prior, most = Prior(0.0, bench.offset_sd, DF), MOST_OFFSET * dimmest_light(recording)
+        prior, most = Prior(0.0, bench.offset_sd, DF), most_offset * dimmest_light(recording)
         offset = replace(LIGHT_OFFSET, name=f"{LIGHT_OFFSET.name}[{name}]", lower=-most, upper=most, prior=prior)
         parameters.append(offset)
     return parameters
@@ -104,7 +103,8 @@ def rate_prior(rates: Sequence[tuple[float, float]]) -> Prior:
     if not measured:
         return parts[0]
     best = max((part.mean for part in parts), key=lambda rate: sum(part.log_density(rate) for part in parts))
-    for _ in range(REWEIGHTINGS):  # a fixed point: each mean at its weight there
+    reweightings = 50  # more than enough for a fixed point of a few dozen rates
+    for _ in range(reweightings):  # a fixed point: each mean at its weight there
         weights = [part.slope_and_information(best)[1] for part in parts]
         best = sum(w * part.mean for w, part in zip(weights, parts, strict=True)) / sum(weights)
     return Prior(best, sum(part.slope_and_information(best)[1] for part in parts) ** -0.5, DF)

@@ -31,8 +31,6 @@ from pixelid.results import Table, number
 from pixelid.statistics import Z95
 
 OPTION, LAWS_OPTION = "--bias-priors", "--bias-laws"
-LITTLE_ADDED = 0.9  # of a prior's deviation: the events then carry less than a fifth (1 − 0.9²) of the information
-CONTRADICTION = 3.0  # standard deviations: one in 370 of right priors
 
 
 def with_bias_priors(
@@ -190,14 +188,16 @@ def beside_events(told: Mapping[str, Any], names: Sequence[str], x: np.ndarray, 
         x, sd: (p,) optimum and standard errors, the priors among what they rest on.
     """
     sentences = []
+    little_added = 0.9  # of a prior's deviation: the events then carry less than a fifth (1 − 0.9²) of the information
+    contradiction = 3.0  # standard deviations: one in 370 of right priors
     for name, prior in told["priors"].items():
         if name not in names:
             continue
         k = list(names).index(name)
-        if sd[k] > LITTLE_ADDED * prior["sd"]:
+        if sd[k] > little_added * prior["sd"]:
             sentences.append(f"{name}: its interval is that of the biases; the events add next to nothing")
         away = abs(x[k] - prior["mean"]) / prior["sd"]
-        if away > CONTRADICTION:
+        if away > contradiction:
             sentences.append(
                 f"{name}: the events have it {away:.1f} standard deviations from what the biases say: perhaps the "
                 "camera did not run with the settings of the header"

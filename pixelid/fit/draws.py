@@ -13,7 +13,6 @@ from pixelid.model.model import Model
 from pixelid.results import check_parameters, number_or_none
 from pixelid.statistics import Z95
 
-MOST_VARIANCE = 1e100  # larger ones overflow when they are factored
 WIDEST = 1.0  # standard deviation, in fitting coordinates, beyond which an open direction is not followed
 
 
@@ -47,9 +46,10 @@ def _check_covariance(listed: object, path: Path) -> None:
     if not all(isinstance(row, list) and len(row) == n and all(map(number_or_none, row)) for row in rows):
         raise InputError(f"{path}: covariance.matrix: expected {n} rows of as many numbers, found {shown(matrix)}")
     largest = max((abs(value) for row in rows for value in row if value is not None), default=0.0)
-    if largest > MOST_VARIANCE or len(set(names)) < n:
+    most_variance = 1e100  # larger ones overflow when they are factored
+    if largest > most_variance or len(set(names)) < n:
         raise InputError(
-            f"{path}: covariance: expected each name once and numbers of at most {MOST_VARIANCE:g}, found "
+            f"{path}: covariance: expected each name once and numbers of at most {most_variance:g}, found "
             f"{shown(names)} and {largest:g}"
         )
 

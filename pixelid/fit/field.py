@@ -19,9 +19,6 @@ from pixelid.recordings.recording import Recording
 
 STEP, FARTHEST = 0.02, 0.2  # of ln light: gains that are tried; a pixel's log-likelihood is a parabola about its best
 SCALES = np.concatenate([[0.0], np.geomspace(1e-3, 0.5, 200)])  # of s, in which the best is looked for
-# Nats that unevenness must be worth.  Twice that is 9.5, which a χ² with half a degree of freedom exceeds in one of
-# 1000 even fields; a fit that describes its data badly makes pixels differ more, and its field is estimated again.
-LEAST_NATS = 4.8
 
 
 @dataclass(frozen=True)
@@ -59,7 +56,11 @@ def field_of(objective: EventTimesObjective, x: np.ndarray) -> Field | None:
     variance = SCALES[:, None] ** 2 + 1.0 / information
     nats = -0.5 * np.sum(np.log(variance) + own**2 / variance, axis=1)
     k = int(np.argmax(nats))
-    if nats[k] - nats[0] < LEAST_NATS:
+    # Nats that unevenness must be worth.  Twice that is 9.5, which a χ² with half a degree of freedom exceeds in one
+    # of 1000 even fields; a fit that describes its data badly makes pixels differ more, and its field is estimated
+    # again.
+    least_nats = 4.8
+    if nats[k] - nats[0] < least_nats:
         return None
     shrunk = own * SCALES[k] ** 2 / (SCALES[k] ** 2 + 1.0 / information)
     return Field(likelihood.flat_pixels[known], shrunk - shrunk.mean(), float(SCALES[k]))

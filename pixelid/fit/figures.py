@@ -32,8 +32,6 @@ from pixelid.recordings.own_light import with_fine_light
 from pixelid.recordings.recording import Recording
 from pixelid.stimuli.stimulus import Stimulus
 
-MOST_COLUMNS = 2  # side by side: more would be too narrow to read
-
 
 class Fitted(Protocol):
     """What figures need of a fit's result."""
@@ -80,7 +78,8 @@ def draw_conditions(result: Fitted, recordings: Sequence[Recording], axes: Any =
         The axes.
     """
     shown = [r for r in recordings if len(r.events)] or list(recordings)[:1]
-    columns = min(MOST_COLUMNS, len(shown))
+    most_columns = 2  # side by side: more would be too narrow to read
+    columns = min(most_columns, len(shown))
     rows = -(-len(shown) // columns)
     if axes is None:
         axes = new_axes(3 * rows, columns, 4.2, 1.5, height_ratios=(1.0, 2.4, 1.1) * rows)

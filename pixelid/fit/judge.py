@@ -24,17 +24,6 @@ LARGEST_BACKGROUND_FRACTION, MIN_BACKGROUND_EVENTS = 1e-3, 5
 # Pooled counts about a true model have dispersion 1; pools of real pixels reach 2 to 3 by sharing light fluctuations,
 # for which errors are widened.  Beyond, what is left of the counts has structure.
 LARGEST_DISPERSION = 3.0
-# Residuals against a covariate: events per block, and most blocks.
-BLOCK_EVENTS, MOST_BLOCKS = 50, 40
-# All tests of one fit together raise a false alarm in 0.2 % of true models by the χ² law; docs/methods/fitting.md has
-# what simulated null fits measured.
-FALSE_ALARMS = 0.002
-# A significant structure also has to matter: at 1 % of the residuals' variance, events are moved by a tenth of their
-# own noise.  Sampled stimuli leave up to 0.1 % (interpolation between samples), which large recordings make
-# significant.
-SMALLEST_SHARE = 0.01
-# A log posterior this close to its maximum is 0.14 standard errors away.
-NEGLIGIBLE_NATS = 0.01
 
 
 @dataclass(frozen=True)
@@ -76,7 +65,9 @@ def residual_tests(objective: EventTimesObjective, x: np.ndarray) -> list[Residu
     likelihood = objective.likelihood
     terms = objective.terms(x)
     kept = np.flatnonzero(~terms.background & ~terms.at_once)  # what came at once does not tell its level
-    if len(kept) < 2 * BLOCK_EVENTS:
+    # Residuals against a covariate: events per block, and most blocks.
+    block_events, most_blocks = 50, 40
+    if len(kept) < 2 * block_events:
         return []
     group = likelihood.group[kept]
     e = (terms.z[kept] - terms.weighted_mean[group]) / terms.scale[kept]
@@ -92,10 +83,10 @@ def residual_tests(objective: EventTimesObjective, x: np.ndarray) -> list[Residu
     for name, covariate in covariates.items():
         for polarity, sign in (("ON", 1.0), ("OFF", -1.0)):
             some = np.flatnonzero(likelihood.sign[kept] == sign)
-            if len(some) < 2 * BLOCK_EVENTS:
+            if len(some) < 2 * block_events:
                 continue
             ordered = e[some[np.argsort(covariate[some], kind="stable")]]
-            blocks = np.array_split(ordered, min(len(some) // BLOCK_EVENTS, MOST_BLOCKS))
+            blocks = np.array_split(ordered, min(len(some) // block_events, most_blocks))
             mean = sum(len(b) * b.mean() ** 2 for b in blocks)
             square = sum(0.5 * len(b) * ((b**2).mean() - 1.0) ** 2 for b in blocks)
             for moment, statistic in (("level", mean), ("scatter", square)):
@@ -107,8 +98,15 @@ def residual_tests(objective: EventTimesObjective, x: np.ndarray) -> list[Residu
 
 def significant(tests: Sequence[ResidualTest]) -> list[ResidualTest]:
     """The tests that raise an alarm, most significant first."""
-    level = FALSE_ALARMS / max(len(tests), 1)
-    alarms = [test for test in tests if test.p_value < level and test.share - test.expected > SMALLEST_SHARE]
+    # All tests of one fit together raise a false alarm in 0.2 % of true models by the χ² law; docs/methods/fitting.md
+    # has what simulated null fits measured.
+    false_alarms = 0.002
+    level = false_alarms / max(len(tests), 1)
+    # A significant structure also has to matter: at 1 % of the residuals' variance, events are moved by a tenth of
+    # their own noise.  Sampled stimuli leave up to 0.1 % (interpolation between samples), which large recordings make
+    # significant.
+    smallest_share = 0.01
+    alarms = [test for test in tests if test.p_value < level and test.share - test.expected > smallest_share]
     return sorted(alarms, key=lambda test: (test.p_value, -test.share))
 
 
@@ -144,7 +142,9 @@ def has_arrived(objective: Objective, optimum: Optimum) -> bool:
     information = optimum.local.information[np.ix_(free, free)]
     move = np.linalg.lstsq(information, gradient, rcond=1e-14)[0]
     move /= max(1.0, float(np.abs(move / objective.coordinates.longest_moves()[free]).max(initial=0.0)))
-    return bool(gradient @ move - 0.5 * move @ information @ move < NEGLIGIBLE_NATS)
+    # A log posterior this close to its maximum is 0.14 standard errors away.
+    negligible_nats = 0.01
+    return bool(gradient @ move - 0.5 * move @ information @ move < negligible_nats)
 
 
 def status_of(

@@ -19,7 +19,6 @@ from pixelid.model.model import Model
 from pixelid.recordings.recording import Recording
 from pixelid.stimuli.pixel_lights import lights_in
 
-DECADES, PER_DECADE = 12, 2  # searches come back from a factor e: the nearest start is within e^0.6
 NOISE = "threshold_sigma"
 # Relative scatter of levels about their median.  Of cameras simulated by another hand it is 0.04 to 0.34 in their own
 # unit, with whatever effects missing, and 0.50 (all that is looked at) in one that is off by a factor 3 or more below.
@@ -40,7 +39,8 @@ def in_recorded_unit(model: Model, likelihood: EventTimes) -> Model:
     if is_plausible(model, likelihood):
         return model
     about = typical_light(likelihood.recordings) / reference_light(model)
-    steps = np.arange(-DECADES * PER_DECADE // 2, DECADES * PER_DECADE // 2 + 1) / PER_DECADE
+    decades, per_decade = 12, 2  # searches come back from a factor e: the nearest start is within e^0.6
+    steps = np.arange(-decades * per_decade // 2, decades * per_decade // 2 + 1) / per_decade
     trials = [model, *(model.in_light(about * 10.0**step) for step in steps)]
     return max(trials, key=lambda trial: _log_likelihood(trial, likelihood))
 

@@ -15,7 +15,6 @@ import numpy as np
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.objective import Local, Objective
 
-HALVINGS = 6  # of a step that overshoots
 CRAWL, ALIKE, FASTER = 5, 1.1, 10.0  # steps; ratio of promises that are the same; by which crawls may yet speed up
 
 
@@ -95,6 +94,7 @@ def with_observed_curvature(objective: Objective, optimum: Optimum, *, tolerance
     """
     lower, upper = objective.coordinates.bounds()
     x, here, steps = optimum.x, optimum.local, optimum.steps
+    halvings = 6  # of a step that overshoots
     for _ in range(rounds):
         held = held_by_bounds(x, here, lower, upper)
         free = ~held
@@ -106,7 +106,7 @@ def with_observed_curvature(objective: Objective, optimum: Optimum, *, tolerance
         move /= max(1.0, float(np.abs(move / objective.coordinates.longest_moves()).max()))
         if 0.5 * here.gradient @ move < tolerance:
             return Optimum(x, here, True, held, steps)
-        for _ in range(HALVINGS):
+        for _ in range(halvings):
             trial = np.clip(x + move, lower, upper)
             if objective.value(trial) > here.value:
                 break

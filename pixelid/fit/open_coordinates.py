@@ -15,10 +15,7 @@ from pixelid.fit.newton import Optimum
 from pixelid.fit.newton import maximise as newton_steps
 from pixelid.fit.uncertainty.profiles import at_fixed
 
-PLATEAU = 1.0  # information by a coordinate, all else open: below, a move by e is worth half a nat
 RIDGE, ROUNDING = 1e-6, 1e-9  # of information, by which a coordinate without any, or without its own, is no exception
-SHOWN = 100.0  # at which it would be known to a tenth
-MOST_MOVES = 10  # by a longest move each
 TOLERANCE = 1e-2  # nats, of a maximum that is to be compared
 
 
@@ -31,14 +28,15 @@ def beyond_plateaus(objective: EventTimesObjective, optimum: Optimum) -> Optimum
     """
     best = optimum
     names = objective.coordinates.names
-    for i in np.flatnonzero(_shown(optimum.local.information) < PLATEAU):
+    plateau = 1.0  # information by a coordinate, all else open: below, a move by e is worth half a nat
+    for i in np.flatnonzero(_shown(optimum.local.information) < plateau):
         moved = None if is_of_bench(names[i]) else _where_it_shows(objective, best.x, int(i))
         if moved is None:
             continue
         start = at_fixed(objective, moved, int(i))[1]
-        wanted = best.local.value + PLATEAU
+        wanted = best.local.value + plateau
         end = newton_steps(objective.near(start), start, tolerance=TOLERANCE, max_steps=60, wanted=wanted)
-        if end.local.value > best.local.value + PLATEAU:
+        if end.local.value > best.local.value + plateau:
             best = end
     return None if best is optimum else best
 
@@ -47,11 +45,13 @@ def _where_it_shows(objective: EventTimesObjective, x: np.ndarray, i: int) -> np
     """x with coordinate i moved, whichever way is shorter, to where the events would know it; None: nowhere."""
     lower, upper = objective.coordinates.bounds()
     step = objective.coordinates.longest_moves()[i]
-    for k in range(1, MOST_MOVES + 1):
+    shown = 100.0  # at which it would be known to a tenth
+    most_moves = 10  # by a longest move each
+    for k in range(1, most_moves + 1):
         for sign in (-1.0, 1.0):
             moved = x.copy()
             moved[i] += sign * k * step
-            if lower[i] <= moved[i] <= upper[i] and _shown(objective.local(moved).information)[i] > SHOWN:
+            if lower[i] <= moved[i] <= upper[i] and _shown(objective.local(moved).information)[i] > shown:
                 return moved
     return None
 

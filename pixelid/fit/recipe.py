@@ -33,36 +33,52 @@ from pixelid.fit.result import FitResult
 from pixelid.model.model import Model
 from pixelid.model.options import assignment, changed
 from pixelid.model.shipped import find_model
+from pixelid.options import Checked, option, options_of
 from pixelid.outputs import refuse_existing, whole_folder
 from pixelid.parameters.gauge import Gauge
 from pixelid.recordings import open_recordings
 from pixelid.recordings.crop import Crop
+from pixelid.recordings.events import MOST_PIXELS, MOST_SIDE
 from pixelid.recordings.selection import named_apart
 
-_KEYS = {
-    "recordings",
-    "model",
-    "with",
-    "without",
-    "fix",
-    "gauge",
-    "between",
-    "seed",
-    "sample",
-    "profile",
-    "engine",
-    "form",
-    "pixel_levels",
-    "bias_priors",
-    "roi",
-    "time",
-    "pixels",
-    "without_hot_pixels",
-}
+BETWEEN = ("auto", "linear", "smooth")
+LISTS = ("recordings", "with", "without", "fix", "gauge")  # of texts
 
 
 @dataclass(frozen=True)
-class Recipe:
+class Settings(Checked):
+    """How a fit is made."""
+
+    between: str = option("auto", "How stimuli run between their samples.", choices=BETWEEN)
+    seed: int = option(0, "Of everything random.", low=0, high=2**32 - 1)
+    sample: bool = option(False, "Also draw from the posterior.")
+    profile: bool = option(False, "Also profile every parameter.")
+    engine: str = option("casadi", "What maximises.", choices=ENGINES)
+    form: str = option("discrete", "Linearised once per step of the stimulus, or continuous in time.", choices=FORMS)
+    pixel_levels: str = option("", '"gain", "background" or "both" of every pixel unknown.')
+
+
+@dataclass(frozen=True)
+class _Cut(Checked):
+    """The cut that a recipe asks for; see `recordings.crop.Crop`."""
+
+    roi: tuple[int, ...] | None = option(None, "Columns and rows.", low=0, high=MOST_SIDE, count=4)
+    time: tuple[float, ...] | None = option(None, "From, to.", count=2)
+    pixels: int | None = option(None, "How many.", low=1, high=MOST_PIXELS)
+    without_hot_pixels: bool = option(False, "Leave them out.")
+
+    def crop(self) -> Crop:
+        """The cut."""
+        return Crop(self.roi, self.time, self.pixels, self.without_hot_pixels)  # type: ignore[arg-type]
+
+
+OWN = tuple(of.name for of in options_of(Settings))
+CUT = tuple(of.name for of in options_of(_Cut))
+KEYS = {"model", "bias_priors", *LISTS, *OWN, *CUT}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recipe(Settings):
     """Everything a fit needs to run again."""
 
     recordings: tuple[Path, ...]
@@ -71,14 +87,7 @@ class Recipe:
     without: tuple[str, ...] = ()
     fix: tuple[str, ...] = ()
     gauge: tuple[str, ...] = ()
-    between: str = "auto"
-    seed: int = 0
-    sample: bool = False
-    profile: bool = False
-    engine: str = "casadi"
-    form: str = "discrete"
     crop: Crop = field(default_factory=Crop)
-    pixel_levels: str = ""
     bias_priors: bool | str = False
 
     @staticmethod
@@ -86,8 +95,10 @@ class Recipe:
         recordings, model, with_, without, fix, gauge, between, seed, sample: bool = False, profile: bool = False
     ) -> Recipe:
         """A recipe from sequences of command-line words."""
-        options = tuple(with_), tuple(without), tuple(fix), tuple(gauge)
-        return Recipe(tuple(map(Path, recordings)), model, *options, between, seed, sample, profile)
+        return Recipe(
+            recordings=tuple(map(Path, recordings)), model=model, with_=tuple(with_), without=tuple(without),
+            fix=tuple(fix), gauge=tuple(gauge), between=between, seed=seed, sample=sample, profile=profile,
+        )  # fmt: skip
 
     def prepared_model(self) -> tuple[Model, list[str]]:
         """The model with effects changed and parameters held, and remarks for the user."""
@@ -169,16 +180,12 @@ def read_recipe(path: Path) -> Recipe:
     document = read_toml(path).get("fit")
     if not isinstance(document, dict):
         raise InputError(f"{path}: expected a [fit] table")
-    unknown = set(document) - _KEYS
-    if unknown:
-        meant = did_you_mean(min(unknown), _KEYS) if len(unknown) == 1 else ""
-        raise InputError(f"{path}: unknown keys {', '.join(sorted(unknown))}; known: {', '.join(sorted(_KEYS))}{meant}")
+    if unknown := set(document) - KEYS:
+        meant = did_you_mean(min(unknown), KEYS) if len(unknown) == 1 else ""
+        raise InputError(f"{path}: unknown keys {', '.join(sorted(unknown))}; known: {', '.join(sorted(KEYS))}{meant}")
     for key in ("recordings", "model"):
         if key not in document:
             raise InputError(f"{path}: [fit] {key} is missing")
-    for key in ("model", "between", "pixel_levels"):
-        if not isinstance(document.get(key, ""), str):
-            raise InputError(f"{path}: [fit] {key} must be a string, found {shown(document[key])}")
 
     def words(key: str) -> tuple[str, ...]:
         value = document.get(key, [])
@@ -186,66 +193,19 @@ def read_recipe(path: Path) -> Recipe:
             raise InputError(f"{path}: [fit] {key} must be a list of strings")
         return tuple(value)
 
-    base = path.resolve().parent
-    model = document["model"]
-    if model and (base / model).exists():
-        model = str(base / model)
-    return Recipe(
-        tuple(base / name for name in words("recordings")),
-        model,
-        words("with"),
-        words("without"),
-        words("fix"),
-        words("gauge"),
-        document.get("between", "auto"),
-        _whole_number(document.get("seed", 0), path),
-        _yes_or_no(document, "sample", path),
-        _yes_or_no(document, "profile", path),
-        _choice(document, "engine", ENGINES, path),
-        _choice(document, "form", FORMS, path),
-        _crop(document, path),
-        document.get("pixel_levels", ""),
-        str(base / document["bias_priors"])
-        if isinstance(document.get("bias_priors"), str)
-        else _yes_or_no(document, "bias_priors", path),
-    )
-
-
-def _crop(document, path: Path) -> Crop:
-    """The cut that a recipe asks for: roi of four whole numbers, time of two, pixels, without_hot_pixels."""
-
-    def numbers(key: str, count: int, kinds: type | tuple[type, ...]) -> tuple | None:
-        value = document.get(key)
-        right = isinstance(value, list) and len(value) == count
-        if value is not None and not (right and all(isinstance(v, kinds) and not isinstance(v, bool) for v in value)):
-            raise InputError(f"{path}: [fit] {key} must be a list of {count} numbers, found {shown(value)}")
-        return None if value is None else tuple(value)
-
-    pixels = document.get("pixels")
-    if pixels is not None and (not isinstance(pixels, int) or isinstance(pixels, bool) or pixels < 1):
-        raise InputError(f"{path}: [fit] pixels must be a positive whole number, found {shown(pixels)}")
-    hot = document.get("without_hot_pixels", False)
-    if not isinstance(hot, bool):
-        raise InputError(f"{path}: [fit] without_hot_pixels must be true or false, found {shown(hot)}")
-    return Crop(numbers("roi", 4, int), numbers("time", 2, (int, float)), pixels, hot)
-
-
-def _choice(document, key: str, known: tuple[str, ...], path: Path) -> str:
-    """One of the known words, the recipe's own default when it says nothing."""
-    value = document.get(key, getattr(Recipe, key))
-    if value not in known:
-        raise InputError(f"{path}: [fit] {key} must be one of {', '.join(known)}, found {shown(value)}")
-    return value
-
-
-def _whole_number(value, path: Path) -> int:
-    if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 1 << 32:
-        raise InputError(f"{path}: [fit] seed must be a whole number from 0 to 2³² − 1, found {shown(value)}")
-    return value
-
-
-def _yes_or_no(document: dict, key: str, path: Path) -> bool:
-    value = document.get(key, False)
-    if not isinstance(value, bool):
-        raise InputError(f"{path}: [fit] {key} must be true or false, found {shown(value)}")
-    return value
+    base, model, priors = path.resolve().parent, document["model"], document.get("bias_priors", False)
+    if not isinstance(model, str):
+        raise InputError(f"{path}: [fit] model must be a string, found {shown(model)}")
+    if not isinstance(priors, bool | str):
+        raise InputError(f"{path}: [fit] bias_priors must be true, false or a folder, found {shown(priors)}")
+    try:
+        return Recipe(
+            recordings=tuple(base / name for name in words("recordings")),
+            model=str(base / model) if model and (base / model).exists() else model,
+            with_=words("with"), without=words("without"), fix=words("fix"), gauge=words("gauge"),
+            crop=_Cut(**{key: document[key] for key in CUT if key in document}).crop(),
+            bias_priors=str(base / priors) if isinstance(priors, str) else priors,
+            **{key: document[key] for key in OWN if key in document},
+        )  # fmt: skip
+    except InputError as error:
+        raise InputError(f"{path}: [fit] {str(error).removeprefix(f'{path}: [fit] ')}") from None

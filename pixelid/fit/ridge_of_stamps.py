@@ -20,11 +20,7 @@ from pixelid.fit.newton import Optimum
 from pixelid.fit.uncertainty.profiles import at_fixed
 from pixelid.likelihood.stamps import Bend
 
-NEARBY = 0.1  # of a standard error, over which slopes are taken
-NEGLIGIBLE = 0.05  # of a standard error, by which the maximum would move
 LARGEST = 0.3  # of a step along the ridge, in the coordinate's longest moves
-MOST_STEPS = 12
-KNOWN_FROM = 0.5  # nats by which the profile has fallen on both sides, so that its parabola is known
 
 
 @dataclass(frozen=True)
@@ -101,22 +97,24 @@ def _leads(objective: EventTimesObjective, x: np.ndarray, covariance: np.ndarray
     names, circuit = objective.coordinates.names, objective.circuit(x)
     sd, differs = np.sqrt(np.maximum(np.diag(covariance), 1e-300)), np.zeros(len(x))
     steps = np.minimum(sd, objective.coordinates.longest_moves())
+    nearby = 0.1  # of a standard error, over which slopes are taken
     for i in range(len(x)):
         values = []
         if is_of_bench(names[i]) or "[" in names[i]:
             continue
         for sign in (1.0, -1.0):
             moved = x.copy()
-            moved[i] += sign * NEARBY * steps[i]
+            moved[i] += sign * nearby * steps[i]
             there = objective.circuit(moved)
             if only_density_differs(circuit, there):
                 break
             follows = objective.likelihood.with_stamps_at(there, bend)
             values.append(follows.log_likelihood(there) - objective.likelihood.log_likelihood(there))
         if len(values) == 2:
-            differs[i] = (values[0] - values[1]) / (2.0 * NEARBY * steps[i])
+            differs[i] = (values[0] - values[1]) / (2.0 * nearby * steps[i])
     moves = np.abs(covariance @ differs) / sd
-    if moves[differs != 0.0].max(initial=0.0) < NEGLIGIBLE:
+    negligible = 0.05  # of a standard error, by which the maximum would move
+    if moves[differs != 0.0].max(initial=0.0) < negligible:
         return None
     return int(np.argmax(np.where(differs != 0.0, sd / objective.coordinates.longest_moves(), 0.0)))
 
@@ -138,12 +136,14 @@ def _climbed(
         points[move] = at_fixed(objective, start, i)
         return bool(np.isfinite(points[move][0]))
 
-    for _ in range(MOST_STEPS):
+    most_steps = 12
+    known_from = 0.5  # nats by which the profile has fallen on both sides, so that its parabola is known
+    for _ in range(most_steps):
         moves = sorted(points)
         top = max(points, key=lambda move: points[move][0])
         sides = [
             sign for sign, far in ((-1, moves[0]), (1, moves[-1]))
-            if points[far][0] > points[top][0] - KNOWN_FROM
+            if points[far][0] > points[top][0] - known_from
         ]  # fmt: skip
         if not sides:
             break

@@ -15,8 +15,6 @@ from pixelid.stimuli.stimulus import Stimulus
 
 SILENCE = "dead_time_without_reset.s"
 LOST, SCATTER, THRESHOLDS = "lost_events.fraction", "threshold_sigma", ("on_threshold", "off_threshold")
-LATEST_S, LAG_S = 2e-3, 1e-4  # of a delay either way, and its steps
-WIDER = 2.0  # times what most levels say; at the true optimum 1, at the other 5 or more
 
 
 def feasible(model: Model, likelihood: EventTimes) -> Model:
@@ -60,7 +58,8 @@ def narrower(model: Model, likelihood: EventTimes) -> Model | None:
     if LOST not in model.free or SCATTER not in model.free:
         return None
     said = feasible(model, likelihood).values
-    if model.values[SCATTER] < WIDER * said[SCATTER]:
+    wider = 2.0  # times what most levels say; at the true optimum 1, at the other 5 or more
+    if model.values[SCATTER] < wider * said[SCATTER]:
         return None
     return model.set({name: said[name] for name in (*THRESHOLDS, SCATTER) if name in model.free})
 
@@ -92,10 +91,11 @@ def upright(recording: Recording) -> Recording:
     light = recording.stimulus
     if not isinstance(light, Stimulus) or light.unit != "shape" or not light.full_field:
         return recording
-    counts = binned(recording, LAG_S, np.inf)
+    latest_s, lag_s = 2e-3, 1e-4  # of a delay either way, and its steps
+    counts = binned(recording, lag_s, np.inf)
     held = light.radiance[np.maximum(np.searchsorted(light.t, counts.edges, side="right") - 1, 0)]
     steps, excess = np.diff(held), counts.on - counts.off
-    lags = range(-round(LATEST_S / LAG_S), round(LATEST_S / LAG_S) + 1)
+    lags = range(-round(latest_s / lag_s), round(latest_s / lag_s) + 1)
     follows = max((float(excess @ np.roll(steps, lag)) for lag in lags), key=abs)
     if follows >= 0:
         return recording

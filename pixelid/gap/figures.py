@@ -32,11 +32,8 @@ from pixelid.model.model import Model
 from pixelid.recordings.recording import Recording
 from pixelid.statistics import Z95
 
-SIMULATED_PIXELS = 64  # their scatter adds to the measured one, a fourth of it where 16 pixels were recorded
 FEW = 3  # effects fitted, of which the page's table is a better picture
-MOST_SHOWN = 2  # recordings, those with the largest gap
 DIRECTIONS = {"level": ("early", "late"), "spread": ("less scatter", "more scatter")}  # score below and above 0
-LARGE_GAP = 10.0  # times chance, from which what is left beside it shows on a logarithmic scale only
 
 
 class Searched(Protocol):
@@ -144,7 +141,8 @@ def draw_free_run(report: Searched, axes: Any = None) -> Any:
     at = np.arange(len(names))
     for k, (label, colour) in enumerate((("before", MUTED), ("after", IMPROVED), ("expected from noise", INK))):
         axis.bar(at + 0.27 * (k - 1), [run.per_recording[n][k] for n in names], 0.25, label=label, color=colour)
-    if max(map(max, run.per_recording.values())) > LARGE_GAP:
+    large_gap = 10.0  # times chance, from which what is left beside it shows on a logarithmic scale only
+    if max(map(max, run.per_recording.values())) > large_gap:
         axis.set_yscale("symlog", linthresh=1)
     axis.set_xticks(at, names, rotation=45, ha="right")
     axis.set_ylabel("difference of event counts\n(about 1: chance)")
@@ -166,24 +164,26 @@ def draw_before_after(report: Searched, recordings: Sequence[Recording], axes: A
     """
     run = report.free_run
     assert run is not None
-    worst = sorted(run.per_recording, key=lambda n: -run.per_recording[n][0])[:MOST_SHOWN]
+    most_shown = 2  # recordings, those with the largest gap
+    worst = sorted(run.per_recording, key=lambda n: -run.per_recording[n][0])[:most_shown]
     shown = [r for r in recordings if r.name in worst]
     if report.pixel_levels is not None:
         shown = report.pixel_levels.seen(shown)
     if axes is None:
         axes = new_axes(4, len(shown), 8.6, 1.5, height_ratios=(1.0, 2.6, 1.2, 1.2))
     models = ((report.base, MUTED, "--", "before"), (report.model, IMPROVED, "-", "after"))
+    simulated_pixels = 64  # their scatter adds to the measured one, a fourth of it where 16 pixels were recorded
     for (light_axis, axis, *lefts), recording in zip(axes.T, shown, strict=True):
         light = light_of(recording, report.details["stimulus_between_samples"])
-        copies = [simulated(model, recording, light, report.seed, SIMULATED_PIXELS) for model, _, _, _ in models]
+        copies = [simulated(model, recording, light, report.seed, simulated_pixels) for model, _, _, _ in models]
         draw_light(light_axis, recording)
         lines = {
-            f"{when}: {model.name}": (copy, SIMULATED_PIXELS, colour, line)
+            f"{when}: {model.name}": (copy, simulated_pixels, colour, line)
             for (model, colour, line, when), copy in zip(models, copies, strict=True)
         }
         draw_rates(axis, recording, light, lines)
         for left, copy, (_, _, _, when) in zip(lefts, copies, models, strict=True):
-            draw_difference(left, recording, light, copy, SIMULATED_PIXELS)
+            draw_difference(left, recording, light, copy, simulated_pixels)
             finish_pair(axis, left)
             left.set_ylabel(f"{when}\n(σ)")
         reach = max(abs(end) for left in lefts for end in left.get_ylim())  # they are compared: one scale

@@ -99,15 +99,13 @@ def with_doubts(report: GapReport, recordings: Sequence[Recording]) -> GapReport
     if pixels < MIN_PIXELS:
         said.append(f"{pixels} pixels are fewer than {MIN_PIXELS}: none was set aside to judge by.")
     status = report.status
-    if report.verdict == "none" and events < LEAST_EVENTS:
+    # An effect is named for some 20 nats; a strong one (12 % lost events, a knee) was seen to gain 0.13 an event.
+    # With less than half a nat from each nothing can be named, and what is not named is not absent.
+    least_events = 40
+    if report.verdict == "none" and events < least_events:
         said.append(f"{events} events could not have shown an effect: record more of them.")
         status = Status.worst([status, Status.not_identified])
     return replace(report, status=status, advice=" ".join(said))
-
-
-# An effect is named for some 20 nats; a strong one (12 % lost events, a knee) was seen to gain 0.13 an event.
-# With less than half a nat from each nothing can be named, and what is not named is not absent.
-LEAST_EVENTS = 40
 
 
 def check_searchable(recordings: Sequence[Recording], model: Model, alpha: float) -> None:

@@ -18,8 +18,6 @@ from pixelid.gap.result import GapReport
 from pixelid.model.model import Model
 from pixelid.recordings.recording import Recording
 
-MOST_SEARCHES = 3
-
 Search: TypeAlias = Callable[[Sequence[Recording]], GapReport]
 
 
@@ -45,7 +43,8 @@ def search_with_levels(
         InputError: levels that these recordings cannot tell, or not beside this model.
     """
     found, named = _searched(recordings, model, wanted, seed, search, report), frozenset[str]()
-    for _ in range(MOST_SEARCHES - 1):
+    most_searches = 3
+    for _ in range(most_searches - 1):
         before, named = named, frozenset(effect.name for effect in found.effects)
         if not named or named == before or not wanted.separable(found.model):
             break

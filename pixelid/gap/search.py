@@ -33,8 +33,7 @@ from pixelid.gap.steps.explain_by_shot_noise import try_in_noise, try_shot_noise
 from pixelid.gap.steps.name_beside_shot_noise import name_beside_shot_noise
 from pixelid.gap.steps.name_effect import is_astray, name_effect, name_what_settles, restart
 from pixelid.gap.steps.recordings_differ import ask_recordings
-from pixelid.gap.steps.undo_readout import undo_readout
-from pixelid.gap.steps.withdraw import withdraw
+from pixelid.gap.steps.withdraw import undo_readout, withdraw
 from pixelid.inspection.timestamps import find_timestamp_signatures, with_coarse_units_as_grids
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.likelihood.light_between_samples import with_told

@@ -38,10 +38,7 @@ from pixelid.recordings.recording import Recording
 from pixelid.recordings.sensor_light import is_measured
 
 BETWEEN = "light_between_samples"  # attribute of a recording: what `told` found of all its pixels
-LEAST_NOISE = 0.02  # of a threshold, s/C at least: no sensor is known below
-MOST_TELLING = 20_000  # events that tell v and s²: enough for 1 % of them
 STARTS = (0.5, 0.005)  # of v in squared thresholds, a rough light and a smooth one
-CERTAIN = 30.0  # x, from which the path never falls back to its beginning
 FAR = -5.0  # x, from which it seldom leaves it
 
 
@@ -110,7 +107,8 @@ def first_passage(rate: np.ndarray, since_s: np.ndarray, variance: np.ndarray) -
     """Of paths with a line's rate (n,) [1/s], begun since_s (n,) ago, of variance (n,) about the line now."""
     spread = np.sqrt(np.maximum(variance, 1e-12))
     away = rate * since_s / spread
-    x = np.clip(away, -CERTAIN, CERTAIN)
+    certain = 30.0  # x, from which the path never falls back to its beginning
+    x = np.clip(away, -certain, certain)
     below, density = ndtr(x), np.exp(-0.5 * x * x) / np.sqrt(2.0 * np.pi)
     first, second = x * below + density, (x * x + 1.0) * below + x * density
     third = (x**3 + 3.0 * x) * below + (x * x + 2.0) * density
@@ -120,7 +118,7 @@ def first_passage(rate: np.ndarray, since_s: np.ndarray, variance: np.ndarray) -
     low = np.minimum(x, FAR)
     mean, square = np.where(far, -2.0 / low, mean), np.where(far, 6.0 / low**2, square)
     first = np.where(far, density / np.maximum(x * x, 1.0), first)
-    sure, small = x >= CERTAIN, 1.0 / np.maximum(away, CERTAIN)  # Y is above 0 for sure: E Y² / E Y = m + B/m
+    sure, small = x >= certain, 1.0 / np.maximum(away, certain)  # Y is above 0 for sure: E Y² / E Y = m + B/m
     return First(
         spread * np.where(sure, small, mean - x),
         spread**2 * np.where(sure, 1.0 - small**2, np.clip(square - mean**2, 0.0, 1.0)),
@@ -170,10 +168,12 @@ def told(recording: Recording) -> Told | None:
     if BETWEEN in recording.attributes:
         return Told(**recording.attributes[BETWEEN])
     intervals, sections = sections_of(recording)
+    least_noise = 0.02  # of a threshold, s/C at least: no sensor is known below
     if len(intervals) < len(STARTS) + 2:
-        return Told(0.0, LEAST_NOISE**2)
+        return Told(0.0, least_noise**2)
     gaps, on = _together([gaps_of(section) for section in sections]), intervals.sign > 0
-    every = slice(None, None, max(len(on) // MOST_TELLING, 1))
+    most_telling = 20_000  # events that tell v and s²: enough for 1 % of them
+    every = slice(None, None, max(len(on) // most_telling, 1))
     gaps, on = Gaps(*(row[every] for row in gaps)), on[every]
     usual = max(float(np.median(np.abs(gaps.level))), 1e-3)
 
@@ -181,7 +181,7 @@ def told(recording: Recording) -> Told | None:
         low, high, noise, v = np.exp(np.clip(x, -30.0, 10.0))
         threshold = usual * np.where(on, high, low)
         first = first_passage(gaps.rate, gaps.since_s, v * usual**2 * gaps.own)
-        total = first.variance + v * usual**2 * gaps.reset + (max(noise, LEAST_NOISE) * threshold) ** 2
+        total = first.variance + v * usual**2 * gaps.reset + (max(noise, least_noise) * threshold) ** 2
         away = threshold - gaps.level - first.shift
         terms = np.log(np.maximum(first.speed, 1e-300)) - 0.5 * (away**2 / total + np.log(2.0 * np.pi * total))
         return -float(np.logaddexp(terms, np.log(BACKGROUND_HZ)).sum())
@@ -189,7 +189,7 @@ def told(recording: Recording) -> Told | None:
     begins = [np.log([1.0, 1.0, 0.2, v]) for v in STARTS]
     ends = [minimize(loss, x, method="Nelder-Mead", options={"maxfev": 800, "xatol": 1e-3}) for x in begins]
     low, high, noise, v = np.exp(np.clip(min(ends, key=lambda end: end.fun).x, -30.0, 10.0))
-    return Told(float(v) * usual**2, float(max(noise, LEAST_NOISE) * usual * np.sqrt(low * high)) ** 2)
+    return Told(float(v) * usual**2, float(max(noise, least_noise) * usual * np.sqrt(low * high)) ** 2)
 
 
 def with_told(recordings: Sequence[Recording]) -> list[Recording]:

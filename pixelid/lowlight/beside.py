@@ -15,8 +15,6 @@ from pixelid.model.model import Model
 from pixelid.recordings.recording import Recording
 from pixelid.stimuli.stimulus import Stimulus
 
-MOST_PIXELS = 64  # simulated beside a recording
-
 
 def compare(
     recordings: Sequence[Recording], model: Model, seed: int, progress: Callable[[float], None] | None = None
@@ -69,7 +67,8 @@ def _entry(recording: Recording, model: Model, seed: int) -> dict:
         "curve": {"x": estimate.x, "y": estimate.y},
     }
     name = "bandwidth" if isinstance(light, Sweep) else "step_time"
-    pixels = min(max(entry["pixels"], 1), MOST_PIXELS)
+    most_pixels = 64  # simulated beside a recording
+    pixels = min(max(entry["pixels"], 1), most_pixels)
     same, one_pole = (_simulated(m, stimulus, pixels, seed, light, thresholds) for m in (model, _one_pole(model)))
     entry["model"] = {
         "same_light": same and same.value,

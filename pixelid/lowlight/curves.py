@@ -10,7 +10,6 @@ from pixelid.lowlight import poles, radii
 from pixelid.stages.circuit import Circuit
 
 POINTS = 73
-BAND_POINTS = 25
 
 
 def radiances(circuit: Circuit, points: int = POINTS) -> np.ndarray:
@@ -55,7 +54,8 @@ def bands(circuit: Circuit, draws: Sequence[Circuit]) -> dict:
     {"draws": n, "radiance": (m,), "curves": name → [low (m,), high (m,)], "epsilon_one", "critical": [low, high]…,
     "first": approximation → "1%" → [low, high]}; None where a draw in ten or more has no such radiance.
     """
-    radiance = radiances(circuit, BAND_POINTS)
+    band_points = 25
+    radiance = radiances(circuit, band_points)
     each = [exact_curves(c, radiance) for c in draws]
     borders = [radii.regimes(c) for c in draws]
     content: dict = {

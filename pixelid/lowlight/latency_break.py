@@ -18,8 +18,6 @@ from pixelid.tables.latency.model import LatencyModel
 from pixelid.tables.latency.spread import Spread
 
 SLOPE = 0.9
-REACH = 30.0  # times beyond the table's lights, in either direction, that a break is looked for
-POINTS = 61
 _STEP = 0.02  # of fitting coordinates: larger than what interpolation between the times of a response errs by
 _MOVES = ("alpha_over_beta", "beta", "sf_cutoff_hz", "diff_cutoff_hz", "led_off_fraction")
 
@@ -50,7 +48,9 @@ def breaks(model: LatencyModel, fit: TableFit, light: np.ndarray) -> list[Break]
         fit: of it.
         light: (…) W/m² after steps of the table.
     """
-    grid = np.geomspace(light.min() / REACH, light.max() * REACH, POINTS)
+    points = 61
+    reach = 30.0  # times beyond the table's lights, in either direction, that a break is looked for
+    grid = np.geomspace(light.min() / reach, light.max() * reach, points)
     on_, names = np.array([True, False]), model.settings
     settings = [(name, bool(on)) for on in on_ for name in names]
     place = {p.name: k for k, p in enumerate(model.parameters)}

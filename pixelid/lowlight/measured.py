@@ -31,7 +31,6 @@ from pixelid.recordings.events import Events
 
 SURE_SD = 4.0  # standard deviations of sums of random signs: what follows no light exceeds them once in 1e4
 BOOTSTRAPS = 300
-BINS_PER_DECADE = 8
 SMALLEST_SWING = 3.0  # thresholds; below, counts do not resolve a fall to 71 %
 
 
@@ -91,7 +90,8 @@ def _bandwidth(events: Events, changes, pixel, pixels: int, light: Sweep, on: fl
     if not _follow(events, cycle, inside, light):
         return _not("bandwidth_hz", "no events follow the light")
     logs = np.log(light.frequency_hz)
-    label = np.floor((logs - logs.min()) * BINS_PER_DECADE / np.log(10)).astype(int)
+    bins_per_decade = 8
+    label = np.floor((logs - logs.min()) * bins_per_decade / np.log(10)).astype(int)
     _, label = np.unique(label, return_inverse=True)
     size = np.bincount(label)
     x = np.bincount(label, logs) / size

@@ -21,7 +21,6 @@ from pixelid.errors import InputError
 from pixelid.stages.circuit import Circuit
 from pixelid.stages.modulation import OF_LIGHT
 
-LEAST_CORNER = 1e-6  # of the pole in the dark, where its tangent would be negative: it has failed long before
 APPROXIMATIONS = ("one_pole", "at_dark")
 SCOPES = ("photoreceptor", "pixel")
 
@@ -98,4 +97,5 @@ def corner(circuit: Circuit, radiance, approximation: str) -> np.ndarray:
         slope = (circuit.alpha - circuit.gamma * p) / math.sqrt(b * b - 4 * a)
     else:
         slope = 0.5 * math.sqrt(circuit.alpha / circuit.dark)
-    return np.maximum(p + slope * radiance, LEAST_CORNER * p)
+    least_corner = 1e-6  # of the pole in the dark, where its tangent would be negative: it has failed long before
+    return np.maximum(p + slope * radiance, least_corner * p)

@@ -27,8 +27,6 @@ from pixelid.recordings.recording import Recording
 from pixelid.results import ContentResult, Table, latency_fit_of, read_result, required
 from pixelid.status import Status
 
-BAND_DRAWS = 60  # models behind the bands of a fit: their 95 % limits to about a tenth of their width
-
 
 @dataclass(frozen=True, repr=False)
 class LowlightReport(ContentResult):
@@ -147,11 +145,12 @@ def lowlight_report(
     from pixelid.tables.latency.camera import Camera
 
     draws: list[Model] = []
+    band_draws = 60  # models behind the bands of a fit: their 95 % limits to about a tenth of their width
     if fitted is not None:
-        draws = drawn(model, *uncertainty(fitted, model), BAND_DRAWS, np.random.default_rng(seed))
+        draws = drawn(model, *uncertainty(fitted, model), band_draws, np.random.default_rng(seed))
     finished = latency_fit_of(sources[0]) if sources else None
     if finished is not None and not draws:
-        draws = latency_draws(finished[0], model, BAND_DRAWS, np.random.default_rng(seed), finished[1])
+        draws = latency_draws(finished[0], model, band_draws, np.random.default_rng(seed), finished[1])
     tables = list(latency) or ([finished[0]] if finished is not None and draws else [])
     if camera is not None and not tables:
         raise InputError("--camera: which of the cameras of --latency; expected that option with it")

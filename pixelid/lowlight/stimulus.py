@@ -9,8 +9,6 @@ import numpy as np
 from pixelid.stimuli.drive import knots
 from pixelid.stimuli.stimulus import Stimulus
 
-MIN_CYCLES = 6
-MIN_EDGES = 3
 SMALLEST_STEP = 0.2  # log radiance
 
 
@@ -63,12 +61,13 @@ def _sweep(t: np.ndarray, radiance: np.ndarray) -> Sweep | None:
     up = np.flatnonzero((radiance[:-1] < centre) & (radiance[1:] >= centre))
     share = (centre - radiance[up]) / (radiance[up + 1] - radiance[up])
     crossing = t[up] + share * (t[up + 1] - t[up])
-    if len(crossing) < MIN_CYCLES:
+    min_cycles = 6
+    if len(crossing) < min_cycles:
         return None
     if abs(radiance[0] - centre) < 1e-2 * centre and crossing[0] - t[0] > 0.5 * (crossing[1] - crossing[0]):
         crossing = np.append(t[0], crossing)  # it starts at the mean
     periods = np.diff(crossing)
-    if len(periods) < MIN_CYCLES or periods.max() < 3 * periods.min():
+    if len(periods) < min_cycles or periods.max() < 3 * periods.min():
         return None
     trend = np.corrcoef(np.argsort(np.argsort(periods)), np.arange(len(periods)))[0, 1]
     if abs(trend) < 0.95:  # sampling makes fast cycles uneven
@@ -90,7 +89,8 @@ def _steps(t: np.ndarray, u: np.ndarray) -> Steps | None:
         return None
     keep = np.abs(change) >= SMALLEST_STEP
     first, last, change = first[keep], last[keep], change[keep]
-    if len(first) < MIN_EDGES:
+    min_edges = 3
+    if len(first) < min_edges:
         return None
     middle = np.empty(len(first))
     for i, (a, b) in enumerate(zip(first, last, strict=True)):

@@ -16,7 +16,6 @@ from pixelid.errors import InputError
 from pixelid.model.model import Model
 from pixelid.parameters.invariants import INVARIANTS, Physical
 
-HASH_DIGITS = 12  # of SHA-256: two of a million fits share one with a chance of 2e-3
 NO_CIRCUIT = "the model has no second-order photoreceptor with [physical] values"
 
 Limits = tuple[float | None, float | None] | None  # of a 95 % interval; None for a side that is open
@@ -36,7 +35,8 @@ def fit_hash(kind: str, model: Model, made_of: object) -> str:
         made_of: what else distinguishes it from other fits, as JSON.
     """
     content = json.dumps([kind, model.name, model.values, made_of], sort_keys=True, default=str)
-    return hashlib.sha256(content.encode()).hexdigest()[:HASH_DIGITS]
+    hash_digits = 12  # of SHA-256: two of a million fits share one with a chance of 2e-3
+    return hashlib.sha256(content.encode()).hexdigest()[:hash_digits]
 
 
 def fitted_source(fit: str, day: str, limits: Limits, identified: bool = True) -> str:

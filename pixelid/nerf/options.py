@@ -1,4 +1,4 @@
-"""What a caller may ask of a reconstruction: function, command and recipe read it from here."""
+"""What a caller may ask of a dataset, a reconstruction and its views: functions and commands read it from here."""
 
 from __future__ import annotations
 
@@ -107,3 +107,67 @@ class Options(Checked):
     )
     device: str = option("auto", "Where the scene is trained.", choices=DEVICES)
     seed: int = option(0, "Of everything random.", low=0, high=2**32 - 1)
+
+
+@dataclass(frozen=True)
+class DatasetOptions(Checked):
+    """What is kept of a published sequence, and what is stated about it.
+
+    Raises:
+        InputError: a value that its field does not allow.
+    """
+
+    start: float | None = option(None, "Begin S seconds after the first pose.", low=0.0, high=1e9, metavar="S")
+    end: float | None = option(None, "End S seconds after the first pose.", above=0.0, high=1e9, metavar="S")
+    every: int = option(
+        1, "Keep one pixel in N, with all of its events.", low=1, high=1 << 24, metavar="N",
+        why="a pixel that misses events is not understood",
+    )  # fmt: skip
+    views: int = option(
+        40,
+        "At most N pictures as views to compare with, but all posed views that come with a sequence; 0: none.",
+        low=0,
+        high=1_000_000,
+        metavar="N",
+    )
+    camera: str = option(
+        "",
+        "esim: first word of the topics; eds: the sensor's name in the calibration; tumvie: left or right.",
+        metavar="NAME",
+    )
+    time_offset: float = option(0.0, "Added to the events' times.", low=-1e9, high=1e9, metavar="S")
+    on_threshold: float | None = option(None, "In place of the one known or assumed.", above=0.0, high=1e9)
+    off_threshold: float | None = option(None, "In place of the one known or assumed.", above=0.0, high=1e9)
+    dead_time: float | None = option(None, "In place of the one known or assumed.", low=0.0, high=1e9, metavar="S")
+    seed: int = option(0, "Of the pixels that --every keeps.", low=0, high=2**32 - 1)
+
+
+@dataclass(frozen=True)
+class RenderOptions(Checked):
+    """From where a reconstruction is seen, and what is made of it.
+
+    Raises:
+        InputError: a value that its field does not allow.
+    """
+
+    views: Path | None = option(
+        None, "Where from: transforms_*.json, a dataset folder, or camera_poses.npz.", metavar="FILE"
+    )
+    path: str | None = option(None, "Around the scene.  [default: orbit]", choices=("orbit", "spiral"))
+    frames: int = option(60, "On the path; at most so many of --views.", low=1, high=10_000)
+    size: tuple[int, ...] | None = option(
+        None, "Pixels.  [default: 400 400, or those of --views]", low=1, high=8192, count=2, metavar="W H"
+    )
+    fov: float | None = option(
+        None, "Horizontal, degrees, where --views states no camera.  [default: 39.6]", low=1.0, high=170.0
+    )
+    up: tuple[float, ...] = option((0.0, 0.0, 1.0), "What is up in the scene, for --path.", count=3, metavar="X Y Z")
+    distance: float | None = option(
+        None, "Of the camera from the middle, for --path; by default the box fills the view.", above=0.0
+    )
+    supersample: int = option(1, "Rays per pixel and side.", low=1, high=8)
+    video: bool = option(False, "An mp4 of the frames (with pixelid[video]).")
+    fps: int = option(30, "Of the video.", low=1, high=240)
+    depth: bool = option(False, "Distances too, as arrays and pictures.")
+    mesh: bool = option(False, "The surface as mesh.ply.")
+    splats: bool = option(False, "Gaussian splats as splats.ply.")

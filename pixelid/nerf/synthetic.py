@@ -28,7 +28,6 @@ from pixelid.parameters.invariants import Physical
 from pixelid.simulate import simulate_stream
 from pixelid.stages.photoreceptor import NOMINAL
 
-VIEW_RAYS = 4  # per pixel and side
 SPLITS = (("train", 8, 1), ("val", 8, 2), ("test", 8, 3))
 
 
@@ -140,9 +139,10 @@ def write_views(folder: Path, scene: Renders, camera: Camera, seed: int) -> None
     from skimage.io import imsave
 
     (folder / FOLDER).mkdir()
+    view_rays = 4  # per pixel and side
     for stage, number, offset in SPLITS:
         position, rotation = random_views(number, 7919 * seed + offset)
-        images = scene.render(camera, position, rotation, VIEW_RAYS).astype(np.float32)
+        images = scene.render(camera, position, rotation, view_rays).astype(np.float32)
         (folder / FOLDER / stage).mkdir()
         frames = []
         for k, image in enumerate(images):

@@ -11,7 +11,6 @@ from pixelid.errors import InputError
 
 OPEN_SD = 0.5  # a log coordinate known no better than a factor e^±0.5 (a standard deviation) is not identified
 RATE_UNIT = "s/s"  # of what two clocks part by in a second
-LEAST_SD, MOST_MEAN = 1e-15, 1e9  # of a prior: beyond, its square leaves nothing of the likelihood in double precision
 
 
 @dataclass(frozen=True)
@@ -30,10 +29,12 @@ class Prior:
     def __post_init__(self) -> None:
         if not (self.sd > 0 and math.isfinite(self.mean)):
             raise InputError(f"prior: expected finite mean and sd > 0, found mean {self.mean}, sd {self.sd}")
-        if self.sd < LEAST_SD or abs(self.mean) > MOST_MEAN:
+        # Of a prior: beyond, its square leaves nothing of the likelihood in double precision
+        least_sd, most_mean = 1e-15, 1e9
+        if self.sd < least_sd or abs(self.mean) > most_mean:
             raise InputError(
-                f"prior: expected sd of at least {LEAST_SD:g} (hold what is known better: free = false) and a mean of "
-                f"at most {MOST_MEAN:g}, found mean {self.mean:g}, sd {self.sd:g}"
+                f"prior: expected sd of at least {least_sd:g} (hold what is known better: free = false) and a mean of "
+                f"at most {most_mean:g}, found mean {self.mean:g}, sd {self.sd:g}"
             )
 
     def as_dict(self) -> dict[str, float]:

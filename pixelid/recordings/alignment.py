@@ -28,7 +28,6 @@ from pixelid.stimuli.stimulus import Stimulus
 
 METHODS = ("trigger", "first-event", "auto")
 GIVEN_SD_S = 1e-3  # of an offset stated without its error: read off a clock by hand
-EDGE_S = 1e-6  # cameras stamp trigger edges in microseconds, whatever unit a file has them in
 
 
 def find_alignment(recording: Recording, light: Light, how: str, *, one_clock: bool = False) -> Alignment:
@@ -222,7 +221,8 @@ def trigger_edges(recording: Recording, light: Light, how: str = "trigger") -> t
     if first == "zero" or (first == "" and light.start_s < 0.0 <= light.end_s):
         begin = 0.0
     duration = light.end_s - begin
-    stamp = max(EDGE_S, recording.events.tick_ns * 1e-9) / float(np.sqrt(12.0))
+    edge_s = 1e-6  # cameras stamp trigger edges in microseconds, whatever unit a file has them in
+    stamp = max(edge_s, recording.events.tick_ns * 1e-9) / float(np.sqrt(12.0))
     near = edges[np.abs(edges - edges[0] - duration) <= RATE_BOUND * duration]
     if len(near) > 1 and isinstance(light, Stimulus) and len(edges) == len(light.t):  # an edge per sample
         near = near[near == edges[-1]]

@@ -24,7 +24,6 @@ from pixelid.recordings.alignment_filter import SOFT, soft_loss
 
 LADDER = (24, 96, 384)  # blocks of the recording's length: from a few milliseconds to what outlasts any filter
 ENOUGH_NATS = 10.0  # a rival is one of some 1000 separate offsets: 5 % in all
-FORM_LOSS = 0.5 * 0.1**2  # a filter's form is within a tenth of a threshold; of periods in a row, 0.004 at most
 
 
 def evidence_nats(time_s: np.ndarray, mine: np.ndarray, other: np.ndarray) -> float:
@@ -39,7 +38,8 @@ def evidence_nats(time_s: np.ndarray, mine: np.ndarray, other: np.ndarray) -> fl
     """
     if len(time_s) < 2 or np.ptp(time_s) == 0.0:
         return 0.0
-    difference = float((soft_loss(other) - soft_loss(mine) - FORM_LOSS).sum())
+    form_loss = 0.5 * 0.1**2  # a filter's form is within a tenth of a threshold; of periods in a row, 0.004 at most
+    difference = float((soft_loss(other) - soft_loss(mine) - form_loss).sum())
     psi, curvature = _score(mine), (1.0 + (mine / SOFT) ** 2) ** -1.5
     along = _score(other) - psi
     information = curvature * along**2

@@ -20,9 +20,6 @@ SOFT = 0.3  # thresholds' units from which a residual counts linearly: noise is 
 RATE_BOUND = 5e-4  # of a clock: crystals are within 1e-4, ceramic resonators within 5e-4
 SHIFT_S, DEAD_S = 1e-3, 1e-4  # units of the first and the seventh parameter
 MOST_SHIFT = 20.0  # of SHIFT_S that a refinement may move
-MOST_SAMPLES = 1 << 18  # of the filter
-SCANNED_AT_ONCE = 64  # offsets
-WEAK = 0.03  # thresholds' units by which an e-fold of a filter's rate counts: holds what the light does not excite
 
 # Starts: ln of stiffness, damping, damping by light and follower rate (1/s² and 1/s, at the light's geometric mean),
 # dead time (0.1 ms), ln of the thresholds.  Lags of 0.1 ms, 0.2 ms, 1.4 ms and 10 ms.
@@ -81,7 +78,8 @@ class LogLight:
         """
         first = float(lights[0][0][0])
         duration = float(lights[0][0][-1]) - first
-        step = max(min(float(np.median(np.diff(t))) for t, _ in lights) / finer, duration / MOST_SAMPLES)
+        most_samples = 1 << 18  # of the filter
+        step = max(min(float(np.median(np.diff(t))) for t, _ in lights) / finer, duration / most_samples)
         grid = first + step * np.arange(round(duration / step) + 2)
         log = np.array([np.interp(grid, t, values) for t, values in lights])
         return LogLight(first, step, log, float(log.mean()))
@@ -198,7 +196,8 @@ def downhill(changes: Changes, light: LogLight, begin: Refined, end: Refined) ->
 
 def hold(changes: int) -> float:
     """Residual of a filter's ln rate per e-fold off its centre: the same share of any number of changes."""
-    return WEAK * float(np.sqrt(changes / 100.0))
+    weak = 0.03  # thresholds' units by which an e-fold of a filter's rate counts: holds what the light does not excite
+    return weak * float(np.sqrt(changes / 100.0))
 
 
 def scan(
@@ -213,13 +212,14 @@ def scan(
     """
     gain = np.where(changes.sign > 0, np.exp(-x[7]), np.exp(-x[8])) * changes.sign
     loss, count = np.zeros(len(begins_s)), np.zeros(len(begins_s))
-    for k in range(0, len(begins_s), SCANNED_AT_ONCE):
-        begin_s = begins_s[k : k + SCANNED_AT_ONCE, None]
+    scanned_at_once = 64  # offsets
+    for k in range(0, len(begins_s), scanned_at_once):
+        begin_s = begins_s[k : k + scanned_at_once, None]
         first, end = changes.begin + DEAD_S * x[6] - begin_s, changes.time - begin_s
         inside = (first >= light.first_s) & (first <= end) & (end < light.last_s)
         low, high = (light.at(filtered, t, changes.light)[0] for t in (first, end))
-        loss[k : k + SCANNED_AT_ONCE] = np.where(inside, soft_loss(gain * (high - low) - 1.0), 0.0).sum(axis=1)
-        count[k : k + SCANNED_AT_ONCE] = inside.sum(axis=1)
+        loss[k : k + scanned_at_once] = np.where(inside, soft_loss(gain * (high - low) - 1.0), 0.0).sum(axis=1)
+        count[k : k + scanned_at_once] = inside.sum(axis=1)
     return loss, count
 
 

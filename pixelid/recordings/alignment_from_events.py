@@ -48,15 +48,9 @@ from pixelid.recordings.recording import Recording
 from pixelid.statistics import Z95
 from pixelid.stimuli.pixel_lights import Light
 
-MOST_CHANGES = 20_000  # of the final refinement: errors of microseconds
-COMPARED = 3_000  # by which offsets are compared
-BLOCKS = 24  # of time, whose residuals count as independent
 LEAST_CHANGES = 50
 LEAST_INSIDE = 0.3  # of the changes within the light: with fewer, a few edges of another light may fit
-FAST_POLE_S = 1e-5  # lag of a pole too fast for the filter to know (a differencing amplifier's, 16 kHz)
 FORM = 0.03  # thresholds: leak, dark current and the like shift events so that a block shares it
-LAG_KNOWN = 0.03  # of the filter's own lag: how well its form describes a pixel; tests/statistical/test_alignment.py
-FINER = 4  # samples of the filter per sample of the light: with one, a chirp to 1500 Hz at 50 µs is found 47 µs late
 # The loss of a change is 0.002 where a filter explains the events, 0.22 where it explains nothing; searches that end in
 # a wrong place leave 0.02 to 0.22.  A third of the events may be noise.
 LARGEST_LOSS = 0.075
@@ -174,7 +168,8 @@ def align_events(recording: Recording, light: Light, polarity: int = 1) -> Event
         )
     recording, lights, of_pixel = lights_of(recording, light)
     changes = changes_of(recording, of_pixel, polarity)
-    few = stretches(changes, COMPARED)
+    compared = 3_000  # by which offsets are compared
+    few = stretches(changes, compared)
     if len(few.time) < LEAST_CHANGES:
         raise InputError(
             f"{recording.name}: --align auto: expected at least {LEAST_CHANGES} events that follow one of their pixel"
@@ -182,13 +177,16 @@ def align_events(recording: Recording, light: Light, polarity: int = 1) -> Event
     coarse = LogLight.of(lights, 1)
     fits, profile = optima(few, coarse, best_offsets(recording, lights, of_pixel, polarity)[0] - few.origin_s)
     best = min(fits, key=lambda fit: fit.cost)
-    many = stretches(changes, MOST_CHANGES)
+    most_changes = 20_000  # of the final refinement: errors of microseconds
+    many = stretches(changes, most_changes)
     covered = within(many, coarse, best, few.middle_s)
     inside = float(covered.mean())
     many = many.select(covered) if inside >= LEAST_INSIDE else many
     zero = best.zero_s + RATE_BOUND * float(best.x[1]) * (many.middle_s - few.middle_s)
     start = np.concatenate([[0.0], best.x[1:]])
-    final = refine(many, LogLight.of(lights, FINER), zero, start, start[2:6], 30, 1e-6)
+    # Samples of the filter per sample of the light: with one, a chirp to 1500 Hz at 50 µs is found 47 µs late
+    finer = 4
+    final = refine(many, LogLight.of(lights, finer), zero, start, start[2:6], 30, 1e-6)
     offset, rate, covariance = _estimate(many, final)
     rivals, spread = _rivals(few, coarse, fits, best, float(np.sqrt(covariance[0, 0])))
     covariance[0, 0] += spread**2
@@ -234,15 +232,16 @@ def _estimate(changes: Changes, fit: Refined) -> tuple[float, float, np.ndarray]
     r, jacobian = fit.residuals, fit.jacobian
     weight = 1.0 / np.sqrt(1.0 + (r / SOFT) ** 2)
     time, lasting = changes.time, float(np.ptp(changes.time))
-    block = np.minimum((BLOCKS * (time - time.min()) / lasting).astype(int), BLOCKS - 1)
-    scores = np.zeros((BLOCKS, 9))
+    blocks = 24  # of time, whose residuals count as independent
+    block = np.minimum((blocks * (time - time.min()) / lasting).astype(int), blocks - 1)
+    scores = np.zeros((blocks, 9))
     np.add.at(scores, block, jacobian * (weight * r)[:, None])
     curvature, meat = jacobian.T @ (jacobian * weight[:, None]), scores.T @ scores
     held = np.zeros(9)
     held[2:6] = hold(len(r)) ** 2
     curvature += np.diag(held)
     meat += np.diag(held**2)  # the centre may be an e-fold off
-    shared = np.zeros((BLOCKS, 9))
+    shared = np.zeros((blocks, 9))
     np.add.at(shared, block, jacobian * weight[:, None])
     meat += FORM**2 * shared.T @ shared  # what no filter of this form describes, common to a block
     scale = 1.0 / np.sqrt(np.maximum(np.diag(curvature), 1e-30))
@@ -253,12 +252,15 @@ def _estimate(changes: Changes, fit: Refined) -> tuple[float, float, np.ndarray]
     slower = jacobian[:, 2:6] @ np.array([-2.0, -1.0, -1.0, -1.0])
     late = jacobian[:, 0] * weight
     delay = SHIFT_S * float(late @ slower) / max(float(late @ jacobian[:, 0]), 1e-30)
-    unknown = (LAG_KNOWN * delay) ** 2
+    # Of the filter's own lag: how well its form describes a pixel; tests/statistical/test_alignment.py
+    lag_known = 0.03
+    unknown = (lag_known * delay) ** 2
     information = jacobian[:, 0] * late
     centre = float(information @ time) / max(float(information.sum()), 1e-30)
     spread = float(information @ (time - centre) ** 2) / max(float(information.sum()), 1e-30)
     varies = unknown / max(12.0 * spread, 1e-30)  # it may differ as much between begin and end
-    covariance += np.diag([FAST_POLE_S**2 + unknown, varies])
+    fast_pole_s = 1e-5  # lag of a pole too fast for the filter to know (a differencing amplifier's, 16 kHz)
+    covariance += np.diag([fast_pole_s**2 + unknown, varies])
     # light time τ of an event at t: τ = (1 − rate) t − zero + rate · middle
     rate = RATE_BOUND * float(fit.x[1])
     return (fit.zero_s - rate * changes.middle_s) / (1.0 - rate), 1.0 / (1.0 - rate) - 1.0, covariance

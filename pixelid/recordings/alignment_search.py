@@ -27,12 +27,8 @@ from pixelid.stimuli.stimulus import Stimulus
 MOST_BINS = 1 << 21  # of the correlation, 16 MiB a transform
 WIDEST_BIN_S = 2e-3  # that leads to the right start: refinements move by as much
 MOST_EVENTS = 300_000  # sorted by pixel
-SCREENED = 600  # by which starts are chosen
-CANDIDATES = 8  # peaks of the correlation
-SCANNED = 6_000  # offsets of the scan: each half a bin of a chirp to 300 Hz over a second
 MOST_LIGHTS = 8  # of pixels' own, those with most events: more would tell no other offset
 LEAST_COMMON = 0.4  # of the best's changes: of two or more periods, a shift by one leaves half
-RIVALS = 5  # offsets compared with the best
 NEAR_S = 2e-3  # offsets closer than this are one, known as badly as they differ
 
 
@@ -131,10 +127,11 @@ def best_offsets(
     peaks, _ = find_peaks(np.concatenate([[-np.inf], heights, [-np.inf]]))
     peaks = peaks[np.argsort(heights[peaks - 1])[::-1]] - 1
     kept: list[int] = []
-    for peak in peaks[: 20 * CANDIDATES]:
+    candidates = 8  # peaks of the correlation
+    for peak in peaks[: 20 * candidates]:
         if all(abs(peak - other) > length for other in kept):
             kept.append(int(peak))
-    offsets = origin + width * correlation_lags(bins, n)[kept[:CANDIDATES]] - t[0]
+    offsets = origin + width * correlation_lags(bins, n)[kept[:candidates]] - t[0]
     return offsets, float(heights.max() / max(np.sqrt(powers.prod()), 1e-300))
 
 
@@ -153,8 +150,9 @@ def optima(changes: Changes, light: LogLight, peaks: np.ndarray) -> tuple[list[R
     start = np.concatenate([[0.0, 0.0], x[2:]])
     offsets, losses = _scanned(changes, light, fits[0])
     lows, _ = find_peaks(-np.where(np.isfinite(losses), losses, 1.0))
-    lows = [float(offsets[k]) for k in lows[np.argsort(losses[lows])][: RIVALS + 1] if offsets[k] != fits[0].zero_s]
-    near = [*lows, *(peak - lag_s(x[2:6]) for peak in peaks[:RIVALS])]
+    rivals = 5  # offsets compared with the best
+    lows = [float(offsets[k]) for k in lows[np.argsort(losses[lows])][: rivals + 1] if offsets[k] != fits[0].zero_s]
+    near = [*lows, *(peak - lag_s(x[2:6]) for peak in peaks[:rivals])]
     begins: list[float] = []
     for begin in near:  # not within 0.3 ms of another: each refinement moves freely by as much
         if all(abs(begin - other) > 3e-4 for other in [*begins, *(fit.zero_s for fit in fits)]):
@@ -170,7 +168,8 @@ def optima(changes: Changes, light: LogLight, peaks: np.ndarray) -> tuple[list[R
 
 def _best_starts(changes: Changes, light: LogLight, peaks: np.ndarray) -> list[tuple[float, np.ndarray]]:
     """The best few (begin, parameters) of candidates × filters × shifts, thresholds by medians."""
-    few = changes.select(slice(None, None, max(1, len(changes.time) // SCREENED)))
+    screened = 600  # by which starts are chosen
+    few = changes.select(slice(None, None, max(1, len(changes.time) // screened)))
     on = few.sign > 0
     scored = []
     for start, filtered in zip(STARTS, light.filtered(STARTS[:, :4]), strict=True):
@@ -196,8 +195,9 @@ def _typical(moved: np.ndarray) -> float:
 def _scanned(changes: Changes, light: LogLight, fit: Refined) -> tuple[np.ndarray, np.ndarray]:
     """(offsets, mean loss of the changes within the light), infinite where too few are in it."""
     lasting = max(float(changes.time.max()), light.last_s - light.first_s)
-    offsets = fit.zero_s + np.arange(-SCANNED // 2, SCANNED // 2) * (2.0 * lasting / SCANNED)
+    scanned = 6_000  # offsets of the scan: each half a bin of a chirp to 300 Hz over a second
+    offsets = fit.zero_s + np.arange(-scanned // 2, scanned // 2) * (2.0 * lasting / scanned)
     few = changes.select(slice(None, None, max(1, len(changes.time) // 800)))
     loss, count = scan(few, light, light.filtered(fit.x[None, 2:6])[0], offsets, fit.x)
-    enough = count >= max(LEAST_COMMON * count[SCANNED // 2], 20)
+    enough = count >= max(LEAST_COMMON * count[scanned // 2], 20)
     return offsets, np.where(enough, loss / np.maximum(count, 1), np.inf)

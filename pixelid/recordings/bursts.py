@@ -28,14 +28,9 @@ from pixelid.recordings.recording import Recording
 WAITS_NS = (1_000, 2_000, 3_000, 5_000, 7_000, 10_000, 15_000, 20_000, 30_000)  # a readout's gaps to a fast ramp's
 MOST_EVENTS = 4_000_000  # looked at
 LEAST_PIXELS, LEAST_BURSTS = 4, 20
-LARGEST_REST = 0.2  # bursts of N + 1 to 1.5 N events, per burst of N: chance unions of two, and noise
 MORE = 1.1  # times N: so much noise is in few stretches, or pixels that N lacks
-SHORTEST = 0.01  # of the times that so many events take: a window with more noise is chance
-NESTED = 0.5  # of the events in full bursts of any size: bursts of fewer are chance
-ROW_SHARE = 0.5  # of the events of full bursts in groups of one size
 SMALL, LARGE = (0.125, 0.25), (0.5, 1.0)  # of N: bursts whose silences are compared
 SELDOM = 0.1  # of silences are shorter than the one compared, of pauses in full bursts longer than the one that cuts
-GROWS = 2.0  # times as long after large bursts: without a shared readout neither is longer than the wait that cuts
 
 
 @dataclass(frozen=True)
@@ -105,7 +100,8 @@ def find_bursts(t: np.ndarray, p: np.ndarray) -> Bursts:
     if not found:
         return Bursts(None, "no size of bursts stands out: the light never makes all pixels fire at once")
     # Rows are bursts too, and parts of the whole pool's.
-    enough = NESTED * max(events for _, events, _ in found)
+    nested = 0.5  # of the events in full bursts of any size: bursts of fewer are chance
+    enough = nested * max(events for _, events, _ in found)
     pixels, _, parts = max((one for one in found if one[1] >= enough), key=lambda one: one[:2])
     full = 0
     lengths, pauses, grouped = [], [], np.zeros(pixels + 1)
@@ -126,13 +122,15 @@ def find_bursts(t: np.ndarray, p: np.ndarray) -> Bursts:
     more = math.ceil(MORE * pixels)
     length, spacing = np.concatenate(lengths), t[more:] - t[:-more]
     row = int(np.argmax(grouped))
+    shortest = 0.01  # of the times that so many events take: a window with more noise is chance
+    row_share = 0.5  # of the events of full bursts in groups of one size
     return Bursts(
         pixels,
         "",
         full,
         float(np.median(length)) * 1e-9,
-        float(np.quantile(spacing, SHORTEST)) * 1e-9 if len(spacing) else None,
-        row if 1 < row < pixels and grouped[row] > ROW_SHARE * grouped.sum() else None,
+        float(np.quantile(spacing, shortest)) * 1e-9 if len(spacing) else None,
+        row if 1 < row < pixels and grouped[row] > row_share * grouped.sum() else None,
         _shared_silence_s(t, pixels, int(np.quantile(np.concatenate(pauses), 1.0 - SELDOM))),
     )
 
@@ -145,7 +143,8 @@ def _shared_silence_s(t: np.ndarray, pixels: int, wait_ns: int) -> float | None:
     if min(map(len, groups)) < LEAST_BURSTS:
         return None
     after_small, after_large = (float(np.quantile(group, SELDOM)) for group in groups)
-    return 1e-9 * after_large if after_large > GROWS * after_small else None
+    grows = 2.0  # times as long after large bursts: without a shared readout neither is longer than the wait that cuts
+    return 1e-9 * after_large if after_large > grows * after_small else None
 
 
 def _cut(times: np.ndarray, wait_ns: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -164,5 +163,6 @@ def _last_size(sizes: np.ndarray) -> int | None:
     events = counts * np.arange(len(counts))
     pixels = int(np.argmax(events))
     beyond = counts[pixels + 1 : pixels + 1 + max(pixels // 2, 1)].sum()
-    stands_out = counts[pixels] >= LEAST_BURSTS and beyond < LARGEST_REST * counts[pixels]
+    largest_rest = 0.2  # bursts of N + 1 to 1.5 N events, per burst of N: chance unions of two, and noise
+    stands_out = counts[pixels] >= LEAST_BURSTS and beyond < largest_rest * counts[pixels]
     return pixels if pixels >= LEAST_PIXELS and stands_out else None

@@ -28,7 +28,6 @@ Packet = TypeVar("Packet")
 TYPES: dict = {".aedat4": "aedat", ".raw": "evt", ".dat": "dat", ".es": "es"}
 AEDAT_EDGES = {1: True, 2: False, 3: True}  # external signal: rising edge, falling edge, pulse
 NO_SIZE = (65535, 65535)  # of a file that states none
-MOST_PACKETS = 1 << 14  # of a part: packets of frames and samples hold no events
 VERSIONS = {"2": "2.0", "20": "2.0", "21": "2.1", "3": "3.0", "30": "3.0"}  # of EVT, by their digits
 # Sizes by the system number of older headers (Prophesee's OpenEB, `psee_raw_file_header.cpp` and `device_system_id.h`).
 VGA_SYSTEMS = (0x15, 0x1C, 0x17, 0x19, 0x1D, 0x23, 0x21, 0x97, 0x99, 0xA1)
@@ -150,11 +149,12 @@ def checked_packets(packets: Callable[[], Iterator], path: Path) -> Iterator:
 def _batches(packets: Iterable[Packet], events_of: Callable[[Packet], np.ndarray | None]) -> Iterator[list[Packet]]:
     """Lists of packets that together hold about `PART_EVENTS` events."""
     batch, held = [], 0
+    most_packets = 1 << 14  # of a part: packets of frames and samples hold no events
     for packet in packets:
         batch.append(packet)
         events = events_of(packet)
         held += 0 if events is None else len(events)
-        if held >= PART_EVENTS or len(batch) >= MOST_PACKETS:
+        if held >= PART_EVENTS or len(batch) >= most_packets:
             yield batch
             batch, held = [], 0
     if batch:

@@ -22,8 +22,6 @@ from pixelid.stimuli.stimulus import Stimulus
 
 NOTHING = 0.5  # stands for grey level 0, since light is positive
 FULL = {"L": 255, "L16": 65535}  # grey level that clips, by the format of the frames
-LEAST_ABOVE_DARK = 1.0  # grey level above `dark` that tells a light: rounding is 0.3 of a level
-MOST_VALUES = 250_000_000  # of all frames in memory, 1 GB
 
 
 def frames(path: Path) -> Iterator[dict[str, np.ndarray]]:
@@ -45,12 +43,13 @@ def frames(path: Path) -> Iterator[dict[str, np.ndarray]]:
     levels: list[np.ndarray] = []
     edges: list[tuple[int, int]] = []
     full = 255
+    most_values = 250_000_000  # of all frames in memory, 1 GB
     for frame in checked_packets(packets, path):
         begin, end, pixels = int(frame.exposure_start_t), int(frame.exposure_end_t), frame.pixels
         if end <= begin or pixels.ndim != 2 or (edges and (begin <= edges[-1][0] or pixels.shape != levels[0].shape)):
             continue
-        if (len(levels) + 1) * pixels.size > MOST_VALUES:
-            raise InputError(f"{path}: frames: more than fit {MOST_VALUES:.0e} grey levels; record fewer")
+        if (len(levels) + 1) * pixels.size > most_values:
+            raise InputError(f"{path}: frames: more than fit {most_values:.0e} grey levels; record fewer")
         full = full if edges else FULL.get(str(frame.format), 255)
         levels.append(np.array(pixels))
         edges.append((begin, end))
@@ -78,7 +77,8 @@ def with_frames(recording: Recording, dark: float = 0.0) -> Recording:
         raise InputError(f"{path}: frames: expected {events.width} x {events.height} pixels, as of the events")
     levels = np.maximum(levels.reshape(len(levels), -1), NOTHING).astype(np.float32)
     lowest, highest = levels.min(axis=0), levels.max(axis=0)
-    lit = np.flatnonzero((lowest - dark >= LEAST_ABOVE_DARK) & (highest < shown["full"]))
+    least_above_dark = 1.0  # grey level above `dark` that tells a light: rounding is 0.3 of a level
+    lit = np.flatnonzero((lowest - dark >= least_above_dark) & (highest < shown["full"]))
     if not len(lit):
         raise InputError(f"{path}: frames: every pixel clips or is as dark as {dark:g} in some frame")
     seconds = 1e-6 * (edges[:, 1] - edges[:, 0])

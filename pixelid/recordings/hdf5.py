@@ -41,8 +41,6 @@ from pixelid.recordings.triggers import COLUMNS, Triggers
 
 PIECE, WHOLE = 1 << 20, 1 << 22  # events taken at once; a compressed piece of more is taken once, with all others
 DAMAGED = "truncated or damaged HDF5"
-MOST_OBJECTS = 1000  # groups of a file
-SMALL_BYTES, MOST_RATIO = 1 << 26, 2000  # deflate compresses a thousandfold at most
 EDGES = ("t", "p", "id")  # of a record of Prophesee's trigger edges
 NAMED = {"format", "version", "condition", "sensor", "pooled"}
 MILLISECONDS = ("ms_to_idx", "ms_map_idx")  # for every millisecond, the first event: so times are µs
@@ -245,7 +243,9 @@ def refuse_foreign_storage(file, path: Path) -> None:
     import h5py
 
     groups, held = [(file, "")], path.stat().st_size
-    for _ in range(MOST_OBJECTS):
+    most_objects = 1000  # groups of a file
+    small_bytes, most_ratio = 1 << 26, 2000  # deflate compresses a thousandfold at most
+    for _ in range(most_objects):
         if not groups:
             return
         group, inside = groups.pop()
@@ -258,11 +258,11 @@ def refuse_foreign_storage(file, path: Path) -> None:
                 groups.append((item, f"{where}/"))
             elif item.is_virtual or item.external:
                 raise InputError(f"{path}: {where}: expected data in this file, found it stored elsewhere")
-            elif item.nbytes > SMALL_BYTES and item.nbytes > MOST_RATIO * held:
+            elif item.nbytes > small_bytes and item.nbytes > most_ratio * held:
                 raise InputError(
                     f"{path}: {where}: declares {item.nbytes} bytes, a file of {held} bytes cannot hold them"
                 )
-    raise InputError(f"{path}: expected a recording, found more than {MOST_OBJECTS} groups")
+    raise InputError(f"{path}: expected a recording, found more than {most_objects} groups")
 
 
 def _attributes(file, path: Path) -> tuple[dict, bool, bool]:

@@ -20,7 +20,6 @@ from pixelid.recordings.rules import ROWS, chosen_name, infer_order, named_colum
 from pixelid.recordings.source import ReadingOptions
 
 Kind = tuple[np.dtype, tuple[int, ...]]
-MOST_COLUMNS = 16  # of an array whose order is stated
 POSITION = re.compile(r"(xy|pos|positions?|coords?|coordinates|locations?|pixels?)$", re.I)  # x and y in one array
 
 
@@ -104,9 +103,10 @@ def _streams(arrays: Arrays, options: ReadingOptions, where: str) -> list[Stream
     found += [_of_records(path, kind, by_name) for path, kind in arrays.kinds.items()]
     streams = [stream for stream in found if stream is not None]
     stated = len(options.columns)
+    most_columns = 16  # of an array whose order is stated
     plain = [path for path, (dtype, shape) in arrays.kinds.items()
              if dtype.kind in "iuf" and len(shape) == 2 and min(shape) > 0
-             and (4 in shape or (4 <= stated <= MOST_COLUMNS and stated in shape))]  # fmt: skip
+             and (4 in shape or (4 <= stated <= most_columns and stated in shape))]  # fmt: skip
     named = [path for path in plain if "event" in path.lower()]
     for path in named or ([] if streams else plain):
         streams.append(_of_four(arrays, path, options, where))

@@ -21,7 +21,6 @@ from pixelid.recordings.rules import Statistics, decoded_polarity, infer_polarit
 from pixelid.recordings.source import EMPTY, LARGEST, OPTION, SENSOR_SIZES, ReadingOptions, Source, size_of_chip
 from pixelid.recordings.triggers import Triggers
 
-MOST_STRETCHES = 100
 WAYS = {
     "negative": "; add so much to the times of events and light alike",
     "fall": f"; sort them, or read one stretch: {OPTION['clock']}",
@@ -179,7 +178,8 @@ def _first_address(s: Statistics, size: tuple[int | None, int | None], raw: RawE
 def _stretch(s: Statistics, clock: str, where: str) -> tuple[tuple[int, int], tuple[str, str]]:
     """First and last event of the stretch that is asked for; its number, and what to say of it."""
     count, number = s.fall_count + 1, int(clock.partition(":")[2] or 1)
-    if count > MOST_STRETCHES:
+    most_stretches = 100
+    if count > most_stretches:
         raise InputError(f"{where}/t: the clock goes back {s.fall_count} times: too often to split; --clock sort")
     if number > count:
         raise InputError(

@@ -21,7 +21,6 @@ LONG_BYTES = 1 << 21  # of files that are read in parts: smaller ones cannot hol
 BAG_SUFFIXES = (".bag", ".db3", ".mcap")
 BINARY_SUFFIXES = (".h5", ".hdf5", ".npz", ".aedat4", ".aedat", ".raw", ".dat", ".es", ".mat", *BAG_SUFFIXES)
 TEXT_SUFFIXES = (".csv", ".txt", ".tsv")
-LOOKED_AT = 4096  # bytes, by which a format shows
 READABLE = ", ".join(BINARY_SUFFIXES + TEXT_SUFFIXES)
 
 
@@ -139,9 +138,10 @@ def _recognised(path: Path) -> str:
         raise InputError(f"{path}: expected a recording file, found a folder")
     if not path.is_file():
         raise InputError(f"{path}: expected a regular file, found a device, pipe or socket")
+    looked_at = 4096  # bytes, by which a format shows
     try:
         with path.open("rb") as file:
-            head = file.read(LOOKED_AT)
+            head = file.read(looked_at)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
     if not head:

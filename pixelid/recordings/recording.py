@@ -15,7 +15,6 @@ from pixelid.stimuli.pixel_lights import Light, PixelLights
 from pixelid.stimuli.stimulus import Stimulus
 
 LATENCY_S = 1e-3
-MUCH_LONGER = 100.0  # events than light: units are 1000 apart
 
 
 @dataclass(frozen=True, repr=False)
@@ -135,7 +134,8 @@ class Recording:
 
 def _way(t: np.ndarray, light_s: float) -> str:
     """What to do about events outside their light."""
-    if float(t[-1] - t[0]) * 1e-9 > MUCH_LONGER * light_s:
+    much_longer = 100.0  # events than light: units are 1000 apart
+    if float(t[-1] - t[0]) * 1e-9 > much_longer * light_s:
         return "is the unit of either's times right (--time-unit)?"
     return (
         "if the light has its own clock, say where it starts: pixelid convert --align trigger|first-event|auto|SECONDS"

@@ -35,10 +35,7 @@ WORDS = {"on": 1, "off": 0, "+": 1, "-": 0, "pos": 1, "neg": 0, "positive": 1, "
          "t": 1, "f": 0, "up": 1, "down": 0, "brighter": 1, "darker": 0, "increase": 1, "decrease": 0}  # fmt: skip
 ORDERS = [o for o in map("".join, permutations("txyp")) if o.index("x") < o.index("y")]  # nobody writes y x
 ROWS = 1 << 12  # of columns without names, by which their order is inferred
-MOST_ADDRESS = 1 << 16
 ENOUGH = 16  # events or distinct times that show something: all on a grid by chance in 1000⁻¹⁵
-MOST_PER_TICK = 10  # events a µs, on average: the fastest readouts do so in bursts
-LEAST_TICKS = 1000  # of whole numbers: so few µs hold no recording
 SHORT_TICKS, FULL = 100_000, 0.5  # and of a tenth of a second few hold so many events that half of the µs are taken
 # Times with fractions: nearer than a nanosecond, were they µs; so few µs hold no recording.
 NEAR, SHORT = 1e-3, 100.0
@@ -177,7 +174,8 @@ def _by_shape(order: str, sample: Sequence[np.ndarray], size: tuple[int | None, 
 def _is_consistent(order: str, sample: Sequence[np.ndarray]) -> bool:
     p, *addresses = (sample[order.index(letter)] for letter in "pxy")
     codes = set(np.unique(p).tolist()) if len(p) else set()
-    whole = all(np.all((a >= 0) & (a < MOST_ADDRESS) & (a == np.rint(a))) for a in addresses)
+    most_address = 1 << 16
+    whole = all(np.all((a >= 0) & (a < most_address) & (a == np.rint(a))) for a in addresses)
     return whole and (codes <= {0, 1} or codes <= {-1, 1} or codes <= {-1, 0, 1})
 
 
@@ -259,13 +257,15 @@ def infer_unit(s: Statistics, where: str) -> tuple[str, str]:
         InputError: two readings are possible.
     """
     gridded = s.on_grid and s.distinct >= ENOUGH
+    most_per_tick = 10  # events a µs, on average: the fastest readouts do so in bursts
+    least_ticks = 1000  # of whole numbers: so few µs hold no recording
     if s.whole:
         if gridded:
             raise _two_readings(where, "whole thousands", "µs of a millisecond clock or ns of a microsecond clock")
         if s.high >= 9.2e15:
             raise _two_readings(where, f"numbers up to {s.high:g}", "no µs that fit 64 bits in nanoseconds")
         ticks = s.high - s.low + 1
-        if s.events >= ENOUGH and s.distinct and (ticks < LEAST_TICKS or s.events > MOST_PER_TICK * ticks):
+        if s.events >= ENOUGH and s.distinct and (ticks < least_ticks or s.events > most_per_tick * ticks):
             found = f"{s.events} events within {s.high - s.low:g}"
             raise _two_readings(where, found, "ms or s, as no recording is so short or dense in µs")
         if s.events >= ENOUGH and ticks < SHORT_TICKS and s.distinct > FULL * ticks:

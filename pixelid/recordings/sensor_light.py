@@ -27,8 +27,6 @@ from pixelid.stimuli.pixel_lights import UNKNOWN, PixelLights
 from pixelid.stimuli.stimulus import Stimulus
 
 ATTRIBUTE, MEASURED, FRAMES = "light", "exposure measurements", "frames"
-MIN_TICKS = 10  # of an exposure: a shorter one is rounded by more than 3 % (1/√12 tick)
-MIN_MEASUREMENTS = 2  # of a pixel: one tells no change
 # Changes of light with the sign of the events between: 98 % in a public recording, once its polarities are right.
 # Below a third of at least 100 they are exchanged: of files without any relation, 1 in 2000 has so few.
 MAX_SHARE_AGREEING, MIN_TELLING = 1 / 3, 100
@@ -65,17 +63,18 @@ def with_measured_light(recording: Recording) -> Recording:
     edges = np.flatnonzero(np.diff(pixel)) + 1
     of_pixel = np.full(events.width * events.height, UNKNOWN, np.int32)
     lights: list[Stimulus] = []
+    min_measurements = 2  # of a pixel: one tells no change
     for part in np.split(np.arange(len(pixel)), edges):
         t, light = middle_s[part], radiance[part]
         inside = (np.diff(t, prepend=span[0]) > 0) & (t < span[1])
         t, light = t[inside], light[inside]
-        if len(t) < MIN_MEASUREMENTS:
+        if len(t) < min_measurements:
             continue
         of_pixel[pixel[part[0]]] = len(lights)
         t, light = np.concatenate([span[:1], t, span[1:]]), np.concatenate([light[:1], light, light[-1:]])
         lights.append(Stimulus(t, light))
     if not lights:
-        raise InputError(f"{recording.name}: --stimulus sensor: no pixel has {MIN_MEASUREMENTS} exposure measurements")
+        raise InputError(f"{recording.name}: --stimulus sensor: no pixel has {min_measurements} exposure measurements")
     grouped = PixelLights.of_groups(lights, of_pixel.reshape(events.height, events.width))
     kept = events.select(of_pixel[events.pixel] != UNKNOWN)
     attributes = {**recording.attributes, ATTRIBUTE: MEASURED, **({"polarity": EXCHANGED} if exchanged else {})}
@@ -106,7 +105,8 @@ def measurements(exposures: Events) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     order = np.lexsort((exposures.p, exposures.t, exposures.pixel))
     pixel, t, p = exposures.pixel[order].astype(np.int64), exposures.t[order], exposures.p[order]
     begins = np.flatnonzero((p[:-1] == 0) & (p[1:] == 1) & (pixel[1:] == pixel[:-1]) & (t[1:] > t[:-1]))
-    begins = begins[t[begins + 1] - t[begins] >= MIN_TICKS * exposures.tick_ns]
+    min_ticks = 10  # of an exposure: a shorter one is rounded by more than 3 % (1/√12 tick)
+    begins = begins[t[begins + 1] - t[begins] >= min_ticks * exposures.tick_ns]
     begin, end = t[begins], t[begins + 1]
     return pixel[begins], 0.5e-9 * (begin + end), 1e9 / (end - begin)
 

@@ -25,9 +25,6 @@ from pixelid.statistics import Z95
 from pixelid.stimuli.pixel_lights import Light
 
 CONTRADICTED = 4.0  # standard errors: 6e-5 of a true statement, so that a session of a dozen has few false doubts
-COVERS = 0.98  # share of the changes within a light that covers the events
-DRAWN_S = 0.05  # of the evidence, on either side
-WIDEST_S = 0.02  # equal offsets within this are one, known as badly: what a fit may move (likelihood/clocks.py)
 
 
 @dataclass(frozen=True)
@@ -140,11 +137,13 @@ def _identified(case: Case, rate: SharedRate) -> EventAlignment | None:
     if case.events is None or not case.events.follows:
         return None
     events = case.events.with_rate(rate.mean, rate.sd)
-    if events.equal_rivals and events.inside < COVERS:
+    covers = 0.98  # share of the changes within a light that covers the events
+    if events.equal_rivals and events.inside < covers:
         return None
-    equal = [rival for rival in events.equal_rivals if rival.inside >= COVERS]
+    equal = [rival for rival in events.equal_rivals if rival.inside >= covers]
     apart = max((abs(rival.offset_s - case.events.offset_s) for rival in equal), default=0.0)
-    if apart > WIDEST_S:
+    widest_s = 0.02  # equal offsets within this are one, known as badly: what a fit may move (likelihood/clocks.py)
+    if apart > widest_s:
         return None
     return replace(events, covariance=events.covariance + np.diag([apart**2, 0.0]))
 
@@ -267,4 +266,5 @@ def _evidence(case: Case, alignment: Alignment | None) -> np.ndarray | None:
     if alignment is not None:  # as it differs at the events' middle
         apart = alignment.offset_s - case.events.offset_s
         lags = lags - apart - (alignment.rate_error - case.events.rate_error) * case.events.middle_s
-    return np.stack([lags, loss])[:, (np.abs(lags) <= DRAWN_S) & np.isfinite(loss)]
+    drawn_s = 0.05  # of the evidence, on either side
+    return np.stack([lags, loss])[:, (np.abs(lags) <= drawn_s) & np.isfinite(loss)]

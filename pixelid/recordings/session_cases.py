@@ -25,8 +25,6 @@ from pixelid.stimuli.pixel_lights import Light, lights_in
 DEGREES = 4.0  # of Student's t: statements may be wrong
 UNEXPLAINED = float(soft_loss(np.ones(1))[0])  # mean loss of changes that follow no light
 AS_STATED = 1e-3  # of a loss, that the light stated may be worse: half of what a right one leaves
-OTHER_LIGHTS = 3  # that are tried where events do not follow their own, by correlation
-CONSTANT_SPAN, CONSTANT_RANGE = 0.05, 0.2  # of ln L, 1 to 99 % and all: below any threshold, above a trace's noise
 
 
 @dataclass(frozen=True)
@@ -171,7 +169,8 @@ def _hypotheses(i: int, recordings: Sequence[Recording], lights: Sequence[Light]
         exchanged = _Hypothesis(_events(recording, lights[i], -polarity), i, -polarity)
         tried += [exchanged] if exchanged.follows else []
     others = sorted(((correlation(recording, light), k) for k, light in enumerate(lights) if k != i), reverse=True)
-    rest = [_Hypothesis(_events(recording, lights[k], polarity), k, polarity) for _, k in others[:OTHER_LIGHTS]]
+    other_lights = 3  # that are tried where events do not follow their own, by correlation
+    rest = [_Hypothesis(_events(recording, lights[k], polarity), k, polarity) for _, k in others[:other_lights]]
     return [*tried, *(one for one in rest if one.follows)]
 
 
@@ -189,7 +188,8 @@ def is_constant(light: Light) -> bool:
     """Whether the light changes by no more than the noise of its trace."""
     logs = [np.log(np.maximum(one.radiance, 1e-300)) for one in lights_in(light)]
     spans = max(float(np.diff(np.quantile(log, (0.01, 0.99)))[0]) for log in logs)
-    return spans < CONSTANT_SPAN and max(float(np.ptp(log)) for log in logs) < CONSTANT_RANGE
+    constant_span, constant_range = 0.05, 0.2  # of ln L, 1 to 99 % and all: below any threshold, above a trace's noise
+    return spans < constant_span and max(float(np.ptp(log)) for log in logs) < constant_range
 
 
 def _explains(events: EventAlignment | None) -> bool:

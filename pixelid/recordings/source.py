@@ -24,7 +24,6 @@ OPTION = {"time_unit": "--time-unit s|ms|us|ns", "size": "--size WxH", "columns"
           "chip": "--chip NAME"}  # fmt: skip
 SUBJECT = {"time_unit": "t taken as", "size": "size", "columns": "columns taken as", "polarity": "polarity",
            "stream": "stream", "clock": "clock goes back: stretch"}  # fmt: skip
-MOST_SIDE = 1 << 16
 LARGEST, EMPTY = " from the largest address", ", as there are no events"  # sizes that another recording may extend
 
 # (width, height) of sensors by the beginning of their names: makers' data sheets
@@ -91,6 +90,7 @@ class ReadingOptions:
 
 
 def _checked(name: str, value: Any, where: str) -> Any:
+    most_side = 1 << 16
     if name == "size":
         sides = re.fullmatch(r"(\d{1,9})\s*[x×,]\s*(\d{1,9})", value.strip()) if isinstance(value, str) else None
         sides = sides.groups() if sides else value if isinstance(value, list | tuple) else ()
@@ -98,7 +98,7 @@ def _checked(name: str, value: Any, where: str) -> Any:
             width, height = (int(side) for side in sides)
         except (TypeError, ValueError):
             width = height = 0
-        if not (0 < width <= MOST_SIDE and 0 < height <= MOST_SIDE):
+        if not (0 < width <= most_side and 0 < height <= most_side):
             raise InputError(f"{where}: expected WIDTHxHEIGHT in pixels, as 640x480, found {shown(value)}")
         return width, height
     if name == "columns":

@@ -27,7 +27,6 @@ METHODS = {
     "trigger": "by trigger edges", "auto": "by the events", "given": "as given", "first-event": "by the first event",
     "inherited": "by the other recordings",
 }  # fmt: skip
-SHOWN_OF_A_KIND = 3  # of contradicted statements: more of a kind have one cause, which the first show
 
 
 def summarise(result: Result, folder: Path) -> Summary:
@@ -79,8 +78,9 @@ def _by_kind(bench: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Contradicted statements of one kind together: sentences that are shown, the others, and what to do about all."""
     kinds = dict.fromkeys(s["statement"] for s in bench)
     sentences = {kind: [s["sentence"] for s in bench if s["statement"] == kind] for kind in kinds}
+    shown_of_a_kind = 3  # of contradicted statements: more of a kind have one cause, which the first show
     return [
-        {"shown": own[:SHOWN_OF_A_KIND], "more": own[SHOWN_OF_A_KIND:], "todo": WHAT_TO_DO.get(kind, "")}
+        {"shown": own[:shown_of_a_kind], "more": own[shown_of_a_kind:], "todo": WHAT_TO_DO.get(kind, "")}
         for kind, own in sentences.items()
     ]
 

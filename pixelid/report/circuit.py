@@ -24,7 +24,6 @@ STATUS_LINES = {
     "diverged": "Not reliable: the fit diverged",
     "interrupted": "Interrupted: call it again to go on",
 }
-MOST_LINKED = 512 << 10  # bytes of a file that is put into the page; a page is to stay below 3 MB
 
 Parameters = Mapping[str, Mapping[str, Any]]
 
@@ -143,8 +142,9 @@ def uses_of(model: str) -> tuple[tuple[str, str], ...]:
 def downloads(folder: Path, file: str) -> list[tuple[str, str]]:
     """(name, data URI) of the files that go with a page: the model, and the JSON that it shows."""
     links = []
+    most_linked = 512 << 10  # bytes of a file that is put into the page; a page is to stay below 3 MB
     for name, kind in (("model.toml", "text/plain"), (file, "application/json")):
         path = folder / name
-        if path.is_file() and not path.is_symlink() and path.stat().st_size <= MOST_LINKED:
+        if path.is_file() and not path.is_symlink() and path.stat().st_size <= most_linked:
             links.append((name, f"data:{kind};base64,{base64.b64encode(path.read_bytes()).decode()}"))
     return links

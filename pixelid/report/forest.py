@@ -12,9 +12,6 @@ from markupsafe import Markup
 from pixelid.report.format import interval, number
 from pixelid.report.quantities import STAGES, Quantity, quantity
 
-WIDEST = 1.5  # decades on either side of the reference, beyond which an interval ends in an arrow
-NARROWEST = 0.06  # decades on either side: an axis of less would magnify what nobody can use
-MOST_TICKS = 7  # that stand apart on a phone
 APART, EDGE = 14.0, 3.0  # per cent of the axis between labels, and to its ends: a label is 25 px, an axis 180 in print
 HEIGHT, MIDDLE = 26, 13  # of a row, in pixels
 
@@ -104,24 +101,27 @@ def _range(rows: Sequence[Row]) -> tuple[float, float]:
     every = [value for r in rows for value in (r.start, r.truth) if value]
     every += [value for r in rows if r.quantity.identified for value in (r.at, r.low, r.high) if value]
     logs = [math.log10(value) for value in every] or [0.0]
-    low, high = max(min(logs), -WIDEST), min(max(logs), WIDEST)
+    widest = 1.5  # decades on either side of the reference, beyond which an interval ends in an arrow
+    low, high = max(min(logs), -widest), min(max(logs), widest)
     margin = 0.04 * (high - low) + 0.01
-    return min(low - margin, -NARROWEST), max(high + margin, NARROWEST)
+    narrowest = 0.06  # decades on either side: an axis of less would magnify what nobody can use
+    return min(low - margin, -narrowest), max(high + margin, narrowest)
 
 
 def _ticks(low: float, high: float) -> list[float]:
     """Round ratios within a range of decades, as many as fit."""
     chosen = [1.0]
+    most_ticks = 7  # that stand apart on a phone
     for steps in ((1.0,), (1.0, 3.0), (1.0, 2.0, 5.0), (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)):
         ticks = [m * 10.0**k for k in range(-4, 5) for m in steps]
         inside = [t for t in ticks if low <= math.log10(t) <= high]
-        if len(inside) > MOST_TICKS:
+        if len(inside) > most_ticks:
             return chosen
         chosen = inside or chosen
     for width in (0.2, 0.1, 0.05):
         inside = [1.0 + width * k for k in range(-20, 60) if 1.0 + width * k > 0]
         inside = [round(t, 3) for t in inside if low <= math.log10(t) <= high]
-        if len(inside) > MOST_TICKS:
+        if len(inside) > most_ticks:
             return chosen
         chosen = inside if len(inside) > len(chosen) else chosen
     return chosen

@@ -10,7 +10,6 @@ from typing import Any
 
 from pixelid.figures import words
 
-SMALLEST_CHANCE = 1e-15  # what arithmetic of doubles can tell from nothing
 _NAMES = ("alpha", "beta", "gamma", "leak")  # of parameters and effects: never capitals
 _POWER = re.compile(r"(?<![\w.])(-?\d+(?:\.\d+)?)e([+-]\d+)\b")
 _NO_CHANCE = re.compile(r"\bp = 0(?![.\d])")  # a probability that doubles cannot hold
@@ -116,7 +115,8 @@ def chance(p: float | None) -> str:
     >>> chance(0.0123), chance(0.0)
     ('0.012', '< 10⁻¹⁵')
     """
-    return "< 10⁻¹⁵" if p is not None and p < SMALLEST_CHANCE else number(p, 2)
+    smallest_chance = 1e-15  # what arithmetic of doubles can tell from nothing
+    return "< 10⁻¹⁵" if p is not None and p < smallest_chance else number(p, 2)
 
 
 def sentence(text: object, capital: bool = True) -> str:

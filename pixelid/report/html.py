@@ -36,7 +36,6 @@ from pixelid.status import Status
 TEMPLATES = Path(__file__).parent / "templates"
 CAPTIONS = Path(__file__).parent / "captions.toml"
 GREEK = ("alpha", "beta", "gamma")  # written as letters; other names of letters alone are words already
-CONTENTS = 4  # headings from which a page lists them
 _HEADING = re.compile(r'<h2(?: id="([^"]+)")?>(.*?)</h2>', re.DOTALL)
 LINKED = (".json", ".toml", ".nc", ".npz", ".csv", ".h5")
 
@@ -182,7 +181,8 @@ def with_contents(body: str) -> Markup:
     """
     named = _HEADING.sub(lambda m: m[0] if m[1] else f'<h2 id="{_anchor(m[2])}">{m[2]}</h2>', body)
     links = [f'<a href="#{name}">{title}</a>' for name, title in _HEADING.findall(named)]
-    return Markup((f'<nav aria-label="Contents">{" ".join(links)}</nav>' if len(links) >= CONTENTS else "") + named)
+    contents = 4  # headings from which a page lists them
+    return Markup((f'<nav aria-label="Contents">{" ".join(links)}</nav>' if len(links) >= contents else "") + named)
 
 
 def _anchor(title: str) -> str:

@@ -13,7 +13,6 @@ from pixelid.errors import printable
 from pixelid.provenance import COMMAND_FILE
 
 Result = dict[str, Any]
-MOST_COMMAND = 10_000  # bytes shown of a command
 
 TONES = {
     "converged": "good", "named": "good", "none": "good",
@@ -102,8 +101,9 @@ def recorded_command(folder: Path) -> str:
     file = folder / COMMAND_FILE
     if not file.is_file() or file.is_symlink():
         return ""
+    most_command = 10_000  # bytes shown of a command
     with file.open("rb") as stream:
-        return printable(stream.read(MOST_COMMAND).decode("utf-8", errors="replace")).strip()
+        return printable(stream.read(most_command).decode("utf-8", errors="replace")).strip()
 
 
 def command_line(name: str, result: Result, *words: str, out: Path, inputs: bool = True, seed: bool = True) -> str:

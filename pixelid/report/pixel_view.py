@@ -17,7 +17,6 @@ from pixelid.report.html import TEMPLATES
 from pixelid.report.scripts import script
 
 FAST = 1e7  # rad/s, as in pixel.js, which takes stages from there on for absent: they are late by 0.1 µs
-USUAL_CORNER_HZ = 200.0  # of the photoreceptor in the light that the page begins with: events lag visibly, none is lost
 SHOWN = {
     "source_follower_pole", "differencing_pole", "threshold_noise", "refractory_period", "leak", "dark_current",
 }  # fmt: skip
@@ -32,13 +31,15 @@ def preset(model: Model) -> dict[str, Any]:
     circuit = model.circuit()
     numbers = {name: float(getattr(circuit, of)) for name, of in OF_CIRCUIT.items()}
     corner = {"second_order": circuit.alpha / circuit.beta, "one_pole": circuit.corner}.get(circuit.photoreceptor)
+    # Of the photoreceptor in the light that the page begins with: events lag visibly, none is lost
+    usual_corner_hz = 200.0
     return {name: number for name, number in numbers.items() if math.isfinite(number)} | {
         "name": model.name,
         "unit": model.radiance_unit,
         "photoreceptor": circuit.photoreceptor,
         "follower": min(circuit.follower, FAST),
         "differencing": min(circuit.differencing, FAST),
-        "level": 2.0 * math.pi * USUAL_CORNER_HZ / corner if corner else 100.0,
+        "level": 2.0 * math.pi * usual_corner_hz / corner if corner else 100.0,
         "left_out": [name.replace("_", " ") for name in model.effects if name not in SHOWN],
     }
 

@@ -18,7 +18,6 @@ from pixelid.report.scripts import script
 from pixelid.results import number
 
 MOST_SPLATS = 60_000  # 1.1 MB of a page; a picture then takes some 50 ms on one core
-FAINT = 0.1  # opacity below which splats are the first to go
 # times the deviation h / √2π of `splats`: between four of them (1 − exp(−(h/√2)² / 2σ²))⁴ shines through, 38 % at their
 # own width and 6 % at this one; the surface is closed
 WIDER = 1.5
@@ -101,7 +100,8 @@ def _kept(opacity: np.ndarray) -> tuple[np.ndarray, float]:
     if len(opacity) <= MOST_SPLATS:
         return np.arange(len(opacity)), 1.0
     order = np.argsort(-opacity, kind="stable")
-    seen = max(int((opacity >= FAINT).sum()), MOST_SPLATS)
+    faint = 0.1  # opacity below which splats are the first to go
+    seen = max(int((opacity >= faint).sum()), MOST_SPLATS)
     if seen == MOST_SPLATS:
         return np.sort(order[:MOST_SPLATS]), 1.0
     chosen = np.random.default_rng(0).choice(order[:seen], MOST_SPLATS, replace=False)

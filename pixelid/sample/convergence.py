@@ -15,7 +15,6 @@ from scipy.special import ndtri
 from scipy.stats import rankdata
 
 ENOUGH_TAU = 50.0  # steps per autocorrelation time (emcee's advice)
-LARGEST_R_HAT = 1.01
 
 
 def nested_r_hat(draws: np.ndarray) -> float:
@@ -55,7 +54,8 @@ class Convergence:
     @property
     def done(self) -> bool:
         """N > 50 τ and nested R̂ < 1.01, for every coordinate."""
-        return bool(self.steps > ENOUGH_TAU * self.tau.max() and self.r_hat.max() < LARGEST_R_HAT)
+        largest_r_hat = 1.01
+        return bool(self.steps > ENOUGH_TAU * self.tau.max() and self.r_hat.max() < largest_r_hat)
 
 
 def autocorrelation_time(draws: np.ndarray) -> float:

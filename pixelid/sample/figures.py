@@ -14,10 +14,8 @@ from pixelid.fit.coordinates import Coordinates
 from pixelid.sample.convergence import Convergence
 
 LEVELS = (0.68, 0.95)  # of the posterior inside the contours
-HISTOGRAM_LINE = 1.2  # points
 MOST_POINTS = 300  # of a trace: steps are taken together, for a page of thousands has megabytes
 WIDE = 10.0  # ratio of the ends from which an axis is logarithmic
-SMOOTHING = 1.0  # bins: contours of a few thousand draws are islands otherwise
 
 
 class Draws(Protocol):
@@ -60,12 +58,14 @@ def draw_corner(posterior: Draws) -> Any:
     ranges = [(low, high) if high > low else (low - 0.5, high + 0.5) for low, high in ranges]
     scales = [_scale(r) for r in ranges]
     # contours alone: a density of every pair makes a page of megabytes
+    histogram_line = 1.2  # points
+    smoothing = 1.0  # bins: contours of a few thousand draws are islands otherwise
     figure = corner.corner(
         draws, fig=plt.figure(figsize=(MOST_WIDTH, MOST_WIDTH)), axes_scale=scales,  # pyright: ignore
         labels=labels,
         range=ranges, bins=30, levels=LEVELS, color=SERIES[0], plot_datapoints=False, plot_density=False,
-        no_fill_contours=True, quantiles=(0.025, 0.5, 0.975), max_n_ticks=2, labelpad=0.75, smooth=SMOOTHING,
-        quiet=True, hist_kwargs={"linewidth": HISTOGRAM_LINE},  # which the style's patches, being filled, do not have
+        no_fill_contours=True, quantiles=(0.025, 0.5, 0.975), max_n_ticks=2, labelpad=0.75, smooth=smoothing,
+        quiet=True, hist_kwargs={"linewidth": histogram_line},  # which the style's patches, being filled, do not have
     )  # fmt: skip
     figure.subplots_adjust(left=0.16, bottom=0.16, right=0.99, top=0.99)
     d = draws.shape[1]

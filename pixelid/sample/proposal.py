@@ -20,9 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 FREEDOM = 40.0  # tails heavier than the posterior's, near enough to accept most
-REFITTED_FREEDOM = 8.0
 SOFT, RIDGE = 3, 1.2  # axes that may be ridges, and how far along them their bend is measured
-DEEPEST, SHALLOWEST = 8.0, 0.5  # nats; drops outside this range say little about a scale
 
 
 @dataclass(frozen=True)
@@ -85,7 +83,8 @@ class Proposal:
         axes = vectors * np.sqrt(np.maximum(variances, 1e-30))
         y = np.linalg.solve(axes, u.T).T
         above, below = (np.sqrt((y**2 * side).sum(axis=0) / np.maximum(side.sum(axis=0), 1)) for side in (y > 0, y < 0))
-        return Proposal(centre, axes, above, below, self.funnel, self.mouth, REFITTED_FREEDOM)
+        refitted_freedom = 8.0
+        return Proposal(centre, axes, above, below, self.funnel, self.mouth, refitted_freedom)
 
 
 def shaped(
@@ -153,14 +152,15 @@ def _scale(value, top: float, shape: Proposal, v, lower, upper) -> float:
         )
     reach = max(float(room.min()), 1e-3)
     step, scale = min(1.0, reach), 0.0
+    deepest, shallowest = 8.0, 0.5  # nats; drops outside this range say little about a scale
     for _ in range(8):
         drop = top - value(shape.lift(shape.curve(0.999 * step * v)))
-        if drop < DEEPEST:
+        if drop < deepest:
             scale = max(scale, step / np.sqrt(2.0 * max(drop, 0.05)))
         elif scale == 0.0:
             step *= 0.5
             continue
         if step >= reach or not drop < 4.0:
             break
-        step = min(step + 1.0 if drop > SHALLOWEST / 4 else 2.0 * step, reach)
+        step = min(step + 1.0 if drop > shallowest / 4 else 2.0 * step, reach)
     return float(min(scale, reach)) if scale > 0 else step

@@ -27,7 +27,6 @@ from pixelid.sensors.tiles import block_index
 FLAT = 3.0  # relative sd of the prior on a pixel's threshold: flat beside any mismatch of a real sensor
 REACH = 1.2  # half width of the scan in log bandwidth
 COARSE = 13  # points of the first scan, which says where the tile's pixels lie
-POINTS = 25  # points of the second, across where they lie
 FINE = 40  # spline points per grid step
 
 
@@ -76,11 +75,12 @@ def estimate_tile(plan: Plan, recordings: list[Recording]) -> Estimates:
     value, mean, weight, unexplained = _scan(plan, likelihood, grid)
     best, best_sd = _peaks(grid, _sums(value, member, len(block)))
     resolved = np.isfinite(best)
+    points = 25  # points of the second, across where they lie
     if resolved.any() and plan.bandwidth:
         margin = np.minimum(4.0 * best_sd[resolved], 0.25 * REACH)
         low, high = (best[resolved] - margin).min(), (best[resolved] + margin).max()
         if high - low < 1.5 * REACH or best_sd[resolved].min() < 0.2 * (grid[1] - grid[0]):
-            grid = np.linspace(low - 0.01, high + 0.01, POINTS)
+            grid = np.linspace(low - 0.01, high + 0.01, points)
             value, mean, weight, unexplained = _scan(plan, likelihood, grid)
             again, again_sd = _peaks(grid, _sums(value, member, len(block)))
             best, best_sd = np.where(resolved, again, np.nan), np.where(resolved, again_sd, np.inf)

@@ -31,7 +31,6 @@ from pixelid.sensors.shrinkage import bootstrap, population, shrink
 from pixelid.sensors.tiles import common_size, tiles_of
 from pixelid.status import Status
 
-TILES = 2  # what a finished tile holds: raised when that changes
 CHUNK = 20  # bootstrap replicates per task
 MOST_UNEXPLAINED = 0.01  # of the events: ten times what makes a fit a misfit, since single pixels depart from its model
 NOTE = "problem.json"  # in the folder of finished tiles: what they belong to
@@ -295,12 +294,13 @@ def _claim(keep: Path, recordings: list[Recording], plan: Plan, tile: int) -> st
         assert r.stimulus is not None
         for column in (r.events.t, r.events.x, r.events.y, r.events.p, *r.stimulus.arrays.values()):
             digest.update(np.ascontiguousarray(column).tobytes())
+    tiles = 2  # what a finished tile holds: raised when that changes
     problem = {
         "version": __version__,
         "data": digest.hexdigest(),
         "model": {**plan.model.values, "photoreceptor": plan.model.photoreceptor, "effects": plan.model.effects},
         "plan": [plan.bandwidth, plan.block, REACH, tile],
-        "tiles": TILES,
+        "tiles": tiles,
     }
     identity = hashlib.sha256(json.dumps(plain(problem), sort_keys=True).encode()).hexdigest()
     note = keep / NOTE

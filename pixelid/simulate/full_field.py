@@ -20,7 +20,6 @@ from pixelid.stages.modulation import set_at_reset
 from pixelid.stimuli.drive import Drive, drive, refined_radiance
 from pixelid.stimuli.stimulus import Stimulus
 
-TILE = 256  # pixels worked on by one thread at a time
 WORK = 1 << 24  # pixel steps between two deliveries of sorted events
 FIRST_CAPACITY = 1024
 
@@ -142,11 +141,12 @@ class FullField:
         """(event lists of tiles, time up to which they are complete, whether that is all), some steps at a time."""
         t, pixels = self._shared.t, len(self._drawn)
         last, size = len(t) - 1, max(1, WORK // pixels)
+        tile = 256  # pixels worked on by one thread at a time
         for k in range(0, last, size):
             steps = range(k, min(k + size, last))
             parts = pool.map(
-                lambda first, steps=steps: self._events(first, min(first + TILE, pixels), steps),
-                range(0, pixels, TILE),
+                lambda first, steps=steps: self._events(first, min(first + tile, pixels), steps),
+                range(0, pixels, tile),
             )
             yield parts, float(t[steps.stop]), steps.stop == last
 

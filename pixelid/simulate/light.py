@@ -25,10 +25,7 @@ from pixelid.errors import InputError
 from pixelid.simulate.laws import Rules
 from pixelid.stimuli.stimulus import Stimulus
 
-FLICKER_STEPS = 64
 WORK = 1 << 24  # pixel steps per block
-MOST_GAPS = 8192  # per block: a tile copies its pixels' light
-MOST_STEPS = 500_000_000
 
 
 @dataclass(frozen=True)
@@ -73,8 +70,9 @@ def _parts(t, frames, rules: Rules) -> np.ndarray:
     """(m,) into how many steps each gap is cut."""
     circuit = rules.circuit
     longest = np.full(len(t) - 1, np.inf)
+    flicker_steps = 64
     if circuit.flicker_modulation != 0:
-        longest[:] = 1.0 / (FLICKER_STEPS * circuit.flicker_hz)
+        longest[:] = 1.0 / (flicker_steps * circuit.flicker_hz)
     if rules.slewing:
         noisy = circuit.shot_density > 0
         per = slew.STEPS_PER_TIME_CONSTANT_UNDER_NOISE if noisy else slew.STEPS_PER_TIME_CONSTANT
@@ -83,7 +81,8 @@ def _parts(t, frames, rules: Rules) -> np.ndarray:
         bright = frames.max(axis=1) * (1 + abs(circuit.flicker_modulation)) + circuit.dark
         longest = np.minimum(longest, noise_step(rules, np.maximum(bright[1:], bright[:-1]).astype(np.float64)))
     parts = np.maximum(np.ceil(np.diff(t) / longest - 1e-9), 1)
-    if parts.sum() > MOST_STEPS:
+    most_steps = 500_000_000
+    if parts.sum() > most_steps:
         raise InputError(f"{parts.sum():.3g} steps are needed to resolve noise or slewing: shorten the stimulus")
     return parts.astype(np.int64)
 
@@ -96,7 +95,8 @@ def blocks(source: Stimulus | Iterable, rules: Rules, pixels: int) -> Iterator[B
     """
     before, first = 0.0, 0
     pending: Block | None = None
-    for t, frames in _runs(source, min(max(1, WORK // pixels), MOST_GAPS)):
+    most_gaps = 8192  # per block: a tile copies its pixels' light
+    for t, frames in _runs(source, min(max(1, WORK // pixels), most_gaps)):
         parts = _parts(t, frames, rules)
         for begin, end in _cuts(parts, pixels):
             some = slice(begin, end)

@@ -13,9 +13,6 @@ from pixelid.recordings.events import Events
 from pixelid.simulate import random
 from pixelid.stages.circuit import Circuit
 
-LOST = 8  # stream of random numbers, after those of `random.py`
-LARGEST_DRAW_SIGMAS = 8.7  # `random.normal_pair` never exceeds them
-
 
 @njit(cache=True, nogil=True)
 def queue(t, service_ns, busy_until, out):
@@ -33,7 +30,8 @@ def queue(t, service_ns, busy_until, out):
 def kept(count: int, fraction: float, first: int, seed: int) -> np.ndarray:
     """(count,) bool, which events are not lost; `first`: number of events before these."""
     draws = np.empty(count)
-    random.fill_normals(seed, LOST, first, draws)
+    lost = 8  # stream of random numbers, after those of `random.py`
+    random.fill_normals(seed, lost, first, draws)
     return draws > ndtri(fraction)
 
 
@@ -91,7 +89,8 @@ class Readout:
             held = self._waiting
             t, x, y, p = (np.concatenate(pair) for pair in ((held.t, t), (held.x, x), (held.y, y), (held.p, p)))
         order = np.lexsort((x, y, t))
-        ready = len(t) if final else int(np.searchsorted(t[order], until_ns - LARGEST_DRAW_SIGMAS * self._sigma))
+        largest_draw_sigmas = 8.7  # `random.normal_pair` never exceeds them
+        ready = len(t) if final else int(np.searchsorted(t[order], until_ns - largest_draw_sigmas * self._sigma))
         now, later = order[:ready], order[ready:]
         size = events.width, events.height
         self._waiting = Events(t[later], x[later], y[later], p[later], *size)

@@ -1,6 +1,6 @@
 """Events of a circuit under a stimulus.
 
-Light enters as one trajectory shared by all pixels (`full_field.py`), or by those of a group (`grouped.py`), or one per
+Light enters as one trajectory shared by all pixels (`full_field.py`), or by those of a group, or one per
 pixel (`tiles.py`: video, and shot noise, which is each pixel's own).  Comparators turn it into events; hot pixels add
 theirs; the readout stamps them.
 """
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
 
 import numpy as np
 
@@ -20,16 +20,14 @@ from pixelid.recordings.events import MOST_PIXELS, MOST_SIDE, Events
 from pixelid.recordings.recording import Recording
 from pixelid.simulate import light, random
 from pixelid.simulate.full_field import FullField, Twins
-from pixelid.simulate.grouped import Grouped
 from pixelid.simulate.hot_pixels import HotPixels
 from pixelid.simulate.laws import Rules, rules_of
 from pixelid.simulate.ordering import Ordering
 from pixelid.simulate.readout import Readout
-from pixelid.simulate.spread import spread_light
 from pixelid.simulate.tiles import Tiles
 from pixelid.stages.circuit import Circuit
 from pixelid.stages.modulation import OF_LIGHT
-from pixelid.stimuli.pixel_lights import Light, PixelLights
+from pixelid.stimuli.pixel_lights import MOST_VALUES, Light, PixelLights
 from pixelid.stimuli.resample import resampled, without_long_steps
 from pixelid.stimuli.stimulus import Stimulus
 
@@ -203,3 +201,52 @@ def _size(shape: tuple, width: int | None, height: int | None) -> tuple[int, int
             f"sensor: expected 1..{MOST_SIDE} pixels a side and {MOST_PIXELS} in all, found {width} x {height}"
         )
     return width, height
+
+
+class Grouped:
+    """The sensor's pixels, light by light; pixels whose light is not known stay silent."""
+
+    def __init__(self, stimulus: PixelLights, rules: Rules, twins: Twins | None = None) -> None:
+        self._stimulus, self._rules, self._twins = stimulus, rules, twins
+        self._of_pixel = stimulus.of_pixel.ravel()
+
+    def run(self, pool: Executor):
+        """(event lists of lights, the end, that that is all): in one delivery, since steps differ between lights."""
+        yield list(pool.map(self._events, np.unique(self._of_pixel[self._of_pixel >= 0]))), self._stimulus.end_s, True
+
+    def _events(self, light: int):
+        places = np.flatnonzero(self._of_pixel == light)
+        twins = None if self._twins is None else self._twins.only(places)
+        pixels = FullField(self._stimulus.lights[light], self._rules, len(places), twins, places)
+        return pixels.all_events()
+
+
+SPREAD = 9  # stream of random numbers, after those of `random.py` and `readout.py`
+
+
+def spread_light(stimulus: object, sigma: float, size: tuple[int, int], seed: int) -> Light:
+    """The stimulus times e^{σ ξ} in each pixel.
+
+    Args:
+        stimulus: Full-field.
+        sigma: Standard deviation of log radiance over the pixels.
+        size: (width, height) of the sensor.
+        seed: Of the factors.
+
+    Raises:
+        InputError: For another stimulus, or lights that do not fit into memory.
+    """
+    if not isinstance(stimulus, Stimulus) or not stimulus.full_field:
+        raise InputError("light_spread: needs a full-field stimulus, whose light it spreads over the pixels")
+    pixels = size[0] * size[1]
+    if pixels * len(stimulus.t) > MOST_VALUES:
+        raise InputError(
+            f"light_spread: {pixels} pixels with {len(stimulus.t)} samples of light each; at most {MOST_VALUES} in all"
+        )
+    draws = np.empty(pixels)
+    random.fill_normals(seed, SPREAD, 0, draws)
+    lights = [
+        Stimulus(stimulus.t, float(factor) * stimulus.radiance, stimulus.unit, stimulus.interpolation)
+        for factor in np.exp(sigma * draws)
+    ]
+    return PixelLights.of_groups(lights, np.arange(pixels).reshape(size[1], size[0]))

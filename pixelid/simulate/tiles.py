@@ -26,7 +26,6 @@ from pixelid.simulate.rows import AFTER, BEFORE, COMPARATORS, FLAG, NEXT_NOISE, 
 from pixelid.simulate.step import after_jump, light_integral, modes, slope_bound
 
 TILE = BLOCK
-LANES = 8  # tiles are multiples of the vector length, so that no pixel falls into a loop's remainder
 CAPACITY = 1024
 
 
@@ -36,7 +35,8 @@ class Tiles:
     def __init__(self, rules: Rules, pixels: int, held: bool) -> None:
         """held: light jumps from frame to frame instead of log radiance running linearly between them."""
         self._rules, self._held, self._pixels = rules, held, pixels
-        self._tile = min(TILE, -(-pixels // (4 * LANES)) * LANES)  # four tiles at least, for the threads
+        lanes = 8  # tiles are multiples of the vector length, so that no pixel falls into a loop's remainder
+        self._tile = min(TILE, -(-pixels // (4 * lanes)) * lanes)  # four tiles at least, for the threads
         padded = -(-pixels // self._tile) * self._tile
         self._states = np.empty((6, padded))
         self._comparators = np.empty((FIELDS, padded))

@@ -19,12 +19,10 @@ def apply(circuit: Circuit, values: Mapping[str, float]) -> Circuit:
     return circuit.with_(on_threshold=values["on_threshold"], off_threshold=values["off_threshold"])
 
 
-LEAST_GROWTH = 0.01  # of a threshold by its drift: what is left of it; less is no comparator
-
-
 def drifts_to_zero(drift: float, until_s: float) -> bool:
     """Whether thresholds that drift by `drift` per second are as good as gone at `until_s`."""
-    return 1.0 + drift * until_s <= LEAST_GROWTH
+    least_growth = 0.01  # of a threshold by its drift: what is left of it; less is no comparator
+    return 1.0 + drift * until_s <= least_growth
 
 
 def memory_factor(memory, alike):

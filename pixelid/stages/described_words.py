@@ -8,10 +8,6 @@ from typing import Any
 from pixelid.stages.described import Described, cell
 from pixelid.stages.modulation import THRESHOLDS
 
-# Of a power's exponent.  Over a decade it is a line in the logarithm but for a seventh of what it adds; its strength
-# says little (a power of 0.06 comes with 70 %, and the rest of the quantity takes that back).
-NEARLY_A_LOGARITHM = 0.25
-
 SUBJECT = {
     "on_threshold": "threshold of ON events",
     "off_threshold": "threshold of OFF events",
@@ -48,7 +44,10 @@ def in_words(own: Described, values: Mapping[str, float]) -> str:
             else ("after an ON event", "after an OFF event")
         )
         return f"{subject} {_amount(own, s)} {first}, {_amount(own, -s)} {second}"
-    if own.form == "power" and abs(values["exponent"]) < NEARLY_A_LOGARITHM:
+    # Of a power's exponent.  Over a decade it is a line in the logarithm but for a seventh of what it adds; its
+    # strength says little (a power of 0.06 comes with 70 %, and the rest of the quantity takes that back).
+    nearly_a_logarithm = 0.25
+    if own.form == "power" and abs(values["exponent"]) < nearly_a_logarithm:
         return f"{subject} {_amount(own, _per_tenfold(own, values))} with every tenfold {_covariate(own)}{_before(own)}"
     return f"{subject} {_amount(own, s)} {_where(own, values)}"
 

@@ -14,9 +14,6 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
 
-STANDS_OUT = 10.0  # times the second differences beside it
-SMALLEST_BEND = 1e-4  # second difference of log radiance that may be a corner
-
 
 @dataclass(frozen=True)
 class Course:
@@ -78,7 +75,9 @@ def _broken_intervals(u: np.ndarray) -> list[int]:
     bend[2:-2] = np.abs(np.diff(u, 2))
     inside = bend[1:-2] + bend[2:-1]  # of the samples k and k + 1
     beside = bend[:-3] + bend[3:]
-    corner = (inside > STANDS_OUT * beside) & (inside > SMALLEST_BEND)
+    stands_out = 10.0  # times the second differences beside it
+    smallest_bend = 1e-4  # second difference of log radiance that may be a corner
+    corner = (inside > stands_out * beside) & (inside > smallest_bend)
     found: list[int] = []
     for k in np.flatnonzero(corner):
         if 1 <= k <= len(u) - 3 and (not found or k - found[-1] >= 2):

@@ -31,7 +31,6 @@ REC_709 = np.array([0.2126, 0.7152, 0.0722])
 STAMPS = re.compile(r".*(time|stamp).*\.(txt|csv)|images\.(txt|csv)", re.I)
 TIME_UNITS = ("s", "ms", "us", "ns")
 FEWER_BITS = (10, 12, 14)  # of cameras whose levels are stored in 16
-FLOAT_STEP = 1 / 65535  # of pictures of floating numbers, where they hold zero
 
 
 @dataclass(frozen=True)
@@ -221,7 +220,8 @@ def _level(picture: np.ndarray, options: FrameOptions, path: Path, notes: list[s
         notes += [] if note in notes else [note]
         values = alpha * values + (1 - alpha) * BACKGROUNDS[options.background]
     grey = values @ REC_709 if values.shape[2] == 3 else values[..., 0]
-    return grey.astype(np.float32), FLOAT_STEP if picture.dtype.kind == "f" else 1 / scale
+    float_step = 1 / 65535  # of pictures of floating numbers, where they hold zero
+    return grey.astype(np.float32), float_step if picture.dtype.kind == "f" else 1 / scale
 
 
 def _full_scale(picture: np.ndarray, path: Path) -> float:

@@ -28,7 +28,6 @@ DATE = re.compile(
     r"(?P<clock>\d\d:\d\d:\d\d)(?:[.,](?P<rest>\d{1,9}))?(?:Z|[+-]\d\d:?\d\d)?"
 )
 SETTING = re.compile(r"\b(t0|tInc)\s*[=:]\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)")
-LONG_STEP_S = 1.0  # between samples whose unit is not stated: light is rarely measured as slowly, times in ms often are
 WAY = '; state it in {}: time_unit = "s", "ms", "us" or "ns"'
 
 
@@ -78,7 +77,9 @@ def _inferred(numbers: np.ndarray, name: str, say: Callable[[str], object], path
     """Seconds, where nothing else is likely.  Raises InputError elsewhere."""
     finite = numbers[np.isfinite(numbers)]  # others are refused with the light
     step = float(np.median(np.diff(finite))) if len(finite) > 1 else 0.0
-    if step >= LONG_STEP_S:
+    # Between samples whose unit is not stated: light is rarely measured as slowly, times in ms often are
+    long_step_s = 1.0
+    if step >= long_step_s:
         found = "whole numbers" if np.all(numbers == np.rint(numbers)) else f"steps of {step:g}"
         raise InputError(f"{path}: unit of the times not stated, found {found}: s, or ms or us{WAY.format(place)}")
     say(f"{path.name}: {name or 'time'} taken as s: no unit stated, {step:g} apart")

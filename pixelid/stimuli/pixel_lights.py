@@ -20,7 +20,6 @@ from pixelid.stimuli.stimulus import Stimulus
 
 UNKNOWN = -1  # in `of_pixel`: a pixel whose light is not known
 MOST_VALUES = 500_000_000  # of frames in memory, 2 GB; as for built-in videos
-AVERAGE_SAMPLES = 4096  # of the average over pixels, which is only shown
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -183,7 +182,8 @@ class PixelLights:
 
     def average(self) -> Stimulus:
         """The geometric mean over pixels, as a full-field light to look at."""
-        grid = np.linspace(self.start_s, self.end_s, AVERAGE_SAMPLES)
+        average_samples = 4096  # of the average over pixels, which is only shown
+        grid = np.linspace(self.start_s, self.end_s, average_samples)
         counts = np.bincount(self._flat[self._flat >= 0], minlength=len(self.lights))
         total = np.zeros(len(grid))
         for light, count in zip(self.lights, counts, strict=True):

@@ -19,8 +19,6 @@ from pixelid.stimuli.pixel_lights import Light, PixelLights, lights_in
 from pixelid.stimuli.stimulus import Stimulus
 
 LARGEST_CHANGE = 0.02  # of log radiance within one step
-LARGEST_BEND = 2e-5  # distance of a step's chord from the spline, log radiance
-MOST_PARTS = 64
 # After a jump of held light, s: photoreceptors ring at some kHz, what follows is slow.  On 2 ms steps at 200
 # fA the survivals that samples alone miss are 458 nats; these miss 11, and 240 in a geometric series 13.
 AFTER_JUMPS_S = np.concatenate(
@@ -57,12 +55,14 @@ def resampled(stimulus: Light, between: str = "linear", largest_change: float = 
     gaps = np.diff(stimulus.t)
     wanted = np.abs(np.diff(u)) / largest_change
     smooth = None
+    largest_bend = 2e-5  # distance of a step's chord from the spline, log radiance
     if between == "smooth":
         smooth = course(stimulus.t, u)
         curvature = np.abs(smooth(stimulus.t, 2))
         bend = np.maximum(curvature[1:], curvature[:-1]) * gaps**2 / 8.0
-        wanted = np.maximum(wanted, np.sqrt(bend / LARGEST_BEND))
-    parts = np.clip(np.ceil(wanted), 1, MOST_PARTS).astype(np.int64)
+        wanted = np.maximum(wanted, np.sqrt(bend / largest_bend))
+    most_parts = 64
+    parts = np.clip(np.ceil(wanted), 1, most_parts).astype(np.int64)
     if smooth is None and parts.max() == 1:
         return stimulus
     left = np.repeat(np.arange(len(gaps)), parts)

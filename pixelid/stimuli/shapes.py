@@ -15,9 +15,6 @@ from pixelid.errors import InputError
 from pixelid.stimuli.stimulus import Stimulus
 
 MOST_SAMPLES = 50_000_000
-MOST_STEPS = 5_000_000_000  # steps × samples: some seconds of work
-MOST_HELD = 100_000  # steps, each with work of its own: likewise
-SATURATED = 50.0  # edge widths from a step beyond which tanh is ±1 in double precision (from 38)
 
 
 def _times(duration_s: float, dt: float) -> np.ndarray:
@@ -71,13 +68,16 @@ def steps(level=100.0, modulation=0.9, hold_s=0.02, edge_s=2e-4, duration_s=0.8,
     """Random levels, ln L uniform within ± modulation of ln level, each held; logistic edges about 5 edge_s wide."""
     t = _times(duration_s, dt)
     _positive(hold_s=hold_s, edge_s=edge_s, level=level)
-    if duration_s / hold_s * len(t) > MOST_STEPS or duration_s / hold_s > MOST_HELD:
+    most_steps = 5_000_000_000  # steps × samples: some seconds of work
+    most_held = 100_000  # steps, each with work of its own: likewise
+    if duration_s / hold_s * len(t) > most_steps or duration_s / hold_s > most_held:
         raise InputError(f"steps: {duration_s:g} s in steps of {hold_s:g} s at dt = {dt:g} s are too many")
     count = math.ceil(duration_s / hold_s) + 1
     logs = np.random.default_rng(seed).uniform(-modulation, modulation, count)
     u = np.full(len(t), math.log(level)) + logs[0]
+    saturated = 50.0  # edge widths from a step beyond which tanh is ±1 in double precision (from 38)
     for k in range(1, count):
-        begin, end = np.searchsorted(t, [k * hold_s - SATURATED * edge_s, k * hold_s + SATURATED * edge_s])
+        begin, end = np.searchsorted(t, [k * hold_s - saturated * edge_s, k * hold_s + saturated * edge_s])
         rise = logs[k] - logs[k - 1]
         u[begin:end] += rise * 0.5 * (1 + np.tanh(0.5 * (t[begin:end] - k * hold_s) / edge_s))
         u[end:] += rise

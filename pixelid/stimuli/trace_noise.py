@@ -25,10 +25,8 @@ FOURTH, SECOND = np.array([1.0, -4.0, 6.0, -4.0, 1.0]), np.array([1.0, -2.0, 1.0
 BLOCK = 256  # samples whose scatter is read at once: light that moves fast in some of them does not matter
 QUANTILE, EXPECTED = 0.25, 0.93  # of the blocks' estimates, and what a quarter of 256 white samples have of their sd
 LARGEST = 0.05  # of ln L: more is no photodiode's noise but a light that jumps from sample to sample
-ALIKE = 1.25  # ratio of two estimates of one white noise; of a light that bends they differ by its samples per period
 SMALLEST = 1e-7  # of ln L: below a single-precision number's rounding nothing is measured
 WAVELET = "sym8"  # 8 vanishing moments: chirps to a tenth of the sampling rate stay in few coefficients
-COARSEST = 64  # samples of the coarsest level at least
 
 
 def noise_sd(light: Stimulus) -> float:
@@ -39,7 +37,9 @@ def noise_sd(light: Stimulus) -> float:
         return 0.0
     logs = np.log(light.radiance)
     by_fourth, by_second = (_scatter(logs, kernel) for kernel in (FOURTH, SECOND))
-    white = SMALLEST < by_fourth < LARGEST and by_second < ALIKE * by_fourth and by_fourth < ALIKE * by_second
+    # Ratio of two estimates of one white noise; of a light that bends they differ by its samples per period
+    alike = 1.25
+    white = SMALLEST < by_fourth < LARGEST and by_second < alike * by_fourth and by_fourth < alike * by_second
     return by_fourth if white else 0.0
 
 
@@ -52,7 +52,8 @@ def without_noise(light: Stimulus) -> Stimulus:
 
     logs = np.log(light.radiance)
     n = len(logs)
-    levels = int(np.log2(n / COARSEST))
+    coarsest = 64  # samples of the coarsest level at least
+    levels = int(np.log2(n / coarsest))
     whole = 2**levels
     left = whole // 2
     padded = np.pad(logs, (left, -(n + left) % whole + whole), mode="reflect", reflect_type="odd")

@@ -11,9 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-MIN_GAIN_NATS = 1e-6
-MAX_SLOPE_SIGMAS = 0.5  # of what is left of the gradient where no step gains any more
-
 Rates = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]  # (cells) rates, and (coordinates, cells) derivatives
 
 
@@ -59,6 +56,8 @@ def maximise(
     cells = tuple(range(1, counts.ndim + 1))
     (rate, J), damping = rates(x), 1e-2
     value = log_likelihood(rate, counts, exposure)
+    min_gain_nats = 1e-6
+    max_slope_sigmas = 0.5  # of what is left of the gradient where no step gains any more
     for _ in range(steps):
         gradient = (J * (counts / rate - exposure)).sum(cells)
         free = ~(((x <= lower) & (gradient <= 0)) | ((x >= upper) & (gradient >= 0)) | (lower == upper))
@@ -75,8 +74,8 @@ def maximise(
             damping *= 4.0
         else:
             left = np.abs(gradient[free]) @ np.sqrt(np.maximum(np.diag(np.linalg.pinv(H)), 0.0))
-            return Maximum(x, value, bool(left < MAX_SLOPE_SIGMAS))
+            return Maximum(x, value, bool(left < max_slope_sigmas))
         gain, x, value, (rate, J), damping = new - value, trial, new, there, max(damping / 5.0, 1e-8)
-        if gain < MIN_GAIN_NATS:
+        if gain < min_gain_nats:
             return Maximum(x, value, True)
     return Maximum(x, value, False)

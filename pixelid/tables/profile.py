@@ -18,9 +18,7 @@ from pixelid.tables.fit import TableFit, Tie, covariance_at, fit_table, log_post
 
 FALL = 0.5 * Z95**2  # nats at the ends of a 95 % interval
 LEAST_SD = 0.01  # the curvature of a skewed likelihood said 3 % where its profile says 8
-REST = 0.02  # nats; the end of an interval moves by half a per cent
 HELD_SD = 1e-3  # in ln: far below LEAST_SD
-GROWTH, TRIES = 1.6, 4  # of the step that looks for the end of the interval; up to ten standard errors away
 
 
 Fallen = Callable[[int, float, np.ndarray], float]  # see `follow_profile`
@@ -82,8 +80,10 @@ def _widened(fit: TableFit, by: np.ndarray) -> TableFit:
 def _fallen(fit: TableFit) -> Fallen:
     top = log_posterior_at(fit, fit.x)
 
+    rest = 0.02  # nats; the end of an interval moves by half a per cent
+
     def fallen(k: int, wanted: float, start: np.ndarray) -> float:
-        held = fit_table(fit.model, np.exp(start).tolist(), (*fit.ties, Tie((k,), wanted, HELD_SD)), rest=REST)
+        held = fit_table(fit.model, np.exp(start).tolist(), (*fit.ties, Tie((k,), wanted, HELD_SD)), rest=rest)
         return top - log_posterior_at(fit, held.x)
 
     return fallen
@@ -94,7 +94,8 @@ def _reach(fit: TableFit, k: int, side: float, sd: float, along: np.ndarray, fal
     lower, upper = np.array([p.coordinate_bounds() for p in fit.parameters]).T
     most = abs((upper if side > 0 else lower)[k] - fit.x[k])
     before, fallen_before, distance = 0.0, 0.0, Z95 * sd
-    for _ in range(TRIES):
+    growth, tries = 1.6, 4  # of the step that looks for the end of the interval; up to ten standard errors away
+    for _ in range(tries):
         distance = min(distance, most)
         start = np.clip(fit.x + along * side * distance, lower, upper)
         now = fallen(k, float(fit.x[k] + side * distance), start)
@@ -103,5 +104,5 @@ def _reach(fit: TableFit, k: int, side: float, sd: float, along: np.ndarray, fal
             return before + (distance - before) * float((np.sqrt(FALL) - a) / (b - a))
         if distance >= most:
             return most
-        before, fallen_before, distance = distance, now, distance * GROWTH
+        before, fallen_before, distance = distance, now, distance * growth
     return before

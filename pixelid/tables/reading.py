@@ -16,10 +16,6 @@ from pixelid.delimited import SPACES, cells_of, with_points
 from pixelid.documents import read_text
 from pixelid.errors import InputError, did_you_mean, printable, shown
 
-MOST_PLACES = 17  # behind the point
-ROUNDING = 1e-9  # relative, of two cells that are one number
-FULL_PRECISION = 1e-3  # of the smallest value: digits beyond are of a quotient, not of a measurement
-
 
 @dataclass(frozen=True)
 class TextTable:
@@ -64,10 +60,12 @@ class TextTable:
         digit = 10.0 ** min((_exponent(cell) for cell in cells), default=0)
         values = np.concatenate([self.numbers(name) for name in names]) if names else np.zeros(0)
         different = np.unique(values[np.isfinite(values)])
-        if len(different) < 2 or different[0] != 0 or digit >= FULL_PRECISION * different[1]:
+        full_precision = 1e-3  # of the smallest value: digits beyond are of a quotient, not of a measurement
+        if len(different) < 2 or different[0] != 0 or digit >= full_precision * different[1]:
             return digit
         gaps = np.diff(different)
-        return float(gaps[gaps > ROUNDING * different[1:]].min())
+        rounding = 1e-9  # relative, of two cells that are one number
+        return float(gaps[gaps > rounding * different[1:]].min())
 
 
 def _exponent(cell: str) -> int:
@@ -76,7 +74,8 @@ def _exponent(cell: str) -> int:
         exponent = Decimal(cell).as_tuple().exponent
     except InvalidOperation:
         return 0
-    return max(min(exponent, 0), -MOST_PLACES) if isinstance(exponent, int) else 0
+    most_places = 17  # behind the point
+    return max(min(exponent, 0), -most_places) if isinstance(exponent, int) else 0
 
 
 def read_text_table(path: Path, *, first: str, expected: str) -> TextTable:

@@ -21,7 +21,7 @@ from pixelid.recordings import open_recording, write_recording
 from pixelid.recordings.alignment import aligned, find_alignment
 from pixelid.recordings.crop import Crop
 from pixelid.recordings.triggers import Triggers
-from pixelid.sample.target import Target
+from pixelid.sample.sample import Target
 from pixelid.simulate import simulate
 from pixelid.stimuli import shapes
 from pixelid.stimuli.files import load_stimulus
@@ -211,25 +211,6 @@ def test_two_offsets_as_good_as_each_other_are_refused(tmp_path, capsys):
     words = ["convert", str(tmp_path / "camera.h5"), str(tmp_path / "out.h5"), "--stimulus", "sine", "--align", "auto"]
     assert run(words) == 2
     assert "cannot say which" in capsys.readouterr().err
-    assert not (tmp_path / "out.h5").exists()
-
-
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (["--align", "auto"], "--stimulus"),
-        (["--stimulus", "steps", "--align", "soon"], "--align: expected trigger"),
-        (["--stimulus", "constant", "--align", "auto"], "constant"),
-        (["--stimulus", "steps"], "--align"),
-        (["--roi", "0,0,9,9"], "--roi"),
-        (["--roi", "a"], "x0,y0,x1,y1"),
-        (["--time", "2:1"], "--time"),
-    ],
-)
-def test_what_cannot_be_done_is_said(session, tmp_path, capsys, words, says):
-    folder, _ = session
-    assert run(["convert", str(folder / "camera.h5"), str(tmp_path / "out.h5"), *words]) == 2
-    assert says in capsys.readouterr().err
     assert not (tmp_path / "out.h5").exists()
 
 

@@ -142,6 +142,9 @@ def test_a_missing_folder_is_refused(command, tmp_path, capsys):
 
 
 SIMULATE = "simulate dvs128 --stimulus {file} --out {out}.h5 "
+SENSOR, GAP = "sensor {file} --model dvs128 --out {out} ", "gap {file} --model dvs128 --out {out} "
+FITS = Path(__file__).resolve().parents[2] / "fits"
+NIST = FITS / "nist_latency" / "nist_latency_median_over_roi.csv"
 USAGE = {
     "models: unknown circuit": ("models dvs129", "no model 'dvs129'"),
     "simulate: unknown circuit": (SIMULATE.replace("dvs128", "dvs129"), "no model 'dvs129'"),
@@ -230,6 +233,58 @@ USAGE = {
     "convert: unknown format": ("convert {file} {out}.mp3", "mp3"),
     "inspect: unknown option": ("inspect {file} --out {out} --speed 3", "--speed"),
     "demo: negative seed": ("demo --out {out} --seed -1", "--seed"),
+    "simulate: effect removed that was never known": (SIMULATE + "--without leek", "parasitic_photocurrent"),
+    "simulate: value of an effect that is none": (SIMULATE + "--with leak:rate_hz=fast", "name=value"),
+    "simulate: value of an effect out of bounds": (SIMULATE + "--with leak:rate_hz=-3", "leak.rate_hz"),
+    "simulate: effect added and removed": (SIMULATE + "--with leak --without leak", "both"),
+    "simulate: unknown parameter": (SIMULATE + "--set nothing=1", "on_threshold"),
+    "simulate: words for pixels": (SIMULATE + "--pixels many", "--pixels"),
+    "simulate: more hot pixels than pixels": (SIMULATE + "--with hot_pixels:count=1000", "hot_pixels.count"),
+    "sensor: bandwidth of a threshold": (SENSOR + "--bandwidth on_threshold", "expected a cutoff"),
+    "sensor: unknown bandwidth": (SENSOR + "--bandwidth nonsense", "nonsense"),
+    "sensor: workers of two kinds": (SENSOR + "--workers 1 --cluster tcp://127.0.0.1:1", "exclude"),
+    "lowlight: no bandwidth": ("lowlight ideal --out {out}", "no bandwidth limit"),
+    "lowlight: unknown circuit": ("lowlight nothing --out {out}", "no model"),
+    "lowlight: missing recording": ("lowlight dvs128 missing.h5 --out {out}", "no such file"),
+    "lowlight: unknown effect": ("lowlight dvs128 --with glow --out {out}", "glow"),
+    "lowlight: described effect of nothing": (
+        "lowlight dvs128 --with described.rate.radiance.power:strength=5 --out {out}",
+        "described effects of rate",
+    ),
+    "lowlight: latencies of several cameras": ("lowlight gen31 --latency {nist} --out {out}", "--camera"),
+    "lowlight: latencies of another camera": ("lowlight gen31 --latency {nist} --camera CAM9 --out {out}", "CAM9"),
+    "lowlight: camera without latencies": ("lowlight gen31 --camera CAM3 --out {out}", "--latency"),
+    "lowlight: latencies in another unit": ("lowlight dvs128 --latency {nist} --camera CAM3 --out {out}", "W/m2"),
+    "lowlight: recipe after a table": (
+        "lowlight gen31 --latency {nist} --latency {fits}/gen31.toml --out {out}",
+        "header",
+    ),
+    "lowlight: table after a recipe": (
+        "lowlight gen31 --latency {fits}/gen31.toml --latency {nist} --out {out}",
+        "stands alone",
+    ),
+    "lowlight: folder that is no fit": ("lowlight gen31 --latency {fits} --out {out}", "latency.json"),
+    "lowlight: missing latencies": ("lowlight gen31 --latency no.csv --out {out}", "no.csv"),
+    "design: unknown criterion": ("design dvs128 --criterion E --out {out}", "expected D, A or a free parameter"),
+    "design: missing recording": ("design dvs128 --recorded missing.h5 --out {out}", "no such file"),
+    "design: missing menu": ("design dvs128 --menu missing.toml --out {out}", "cannot be read"),
+    "design: nothing to learn": ("design ideal --out {out}", "threshold_noise"),
+    "convert: alignment without light": ("convert {file} {out}.h5 --align auto", "--stimulus"),
+    "convert: unknown alignment": (
+        "convert {file} {out}.h5 --stimulus steps --align soon",
+        "--align: expected trigger",
+    ),
+    "convert: alignment to constant light": ("convert {file} {out}.h5 --stimulus constant --align auto", "constant"),
+    "convert: light on another clock": ("convert {file} {out}.h5 --stimulus steps", "--align"),
+    "convert: region outside the sensor": ("convert {file} {out}.h5 --roi 0,0,9,9", "--roi"),
+    "convert: region of words": ("convert {file} {out}.h5 --roi a", "x0,y0,x1,y1"),
+    "convert: time that goes back": ("convert {file} {out}.h5 --time 2:1", "--time"),
+    "convert: format that is only read": ("convert {file} {out}.aedat4", ".aedat4"),
+    "convert: no format": ("convert {file} {out}", ".h5"),
+    "gap: unknown effect": (GAP + "--with leek", "leek"),
+    "gap: without the noise that it needs": (GAP + "--without threshold_noise", "threshold_noise"),
+    "noise: unknown circuit": ("noise {file} --model nothing --out {out}", "no model"),
+    "noise: missing table": ("noise absent.csv --out {out}", "absent.csv"),
     "fit: missing recipe": ("fit {out}.toml --out {out}", "cannot be read"),
 }
 
@@ -238,8 +293,8 @@ USAGE = {
 def test_bad_usage_is_refused(case, tmp_path, capsys):
     template, says = USAGE[case]
     good(tmp_path / "good.h5")
-    message = refused(words(template, file=tmp_path / "good.h5", out=tmp_path / "out"), tmp_path, capsys)
-    assert says in message
+    given = words(template, file=tmp_path / "good.h5", out=tmp_path / "out", fits=FITS, nist=NIST)
+    assert says in refused(given, tmp_path, capsys)
 
 
 @pytest.mark.skipif("fit" not in PRESENT, reason="no fit command")
@@ -253,7 +308,7 @@ def test_bad_usage_is_refused(case, tmp_path, capsys):
         ('[fit]\nrecordings = "good.h5"\nmodel = "dvs128"', "list of strings"),
         ('[fit]\nrecordings = ["gone.h5"]\nmodel = "dvs128"', "gone.h5: no such file"),
         ('[fit]\nrecordings = ["good.h5"]\nmodel = "dvs128"\nspeed = 1', "unknown keys speed"),
-        ('[fit]\nrecordings = ["good.h5"]\nmodel = "dvs128"\nseed = "x"', "seed must be a whole number"),
+        ('[fit]\nrecordings = ["good.h5"]\nmodel = "dvs128"\nseed = "x"', "seed: expected a whole number"),
         ('[fit]\nrecordings = ["good.h5"]\nmodel = "dvs128"\nbetween = "cubic"', "cubic"),
         ('[fit]\nrecordings = []\nmodel = "dvs128"', "recording"),
     ],

@@ -43,12 +43,6 @@ def test_an_existing_output_is_kept(source, tmp_path, capsys):
     assert len(open_recording(tmp_path / "b.csv").events) == 300
 
 
-@pytest.mark.parametrize("name", ["b.aedat4", "b", "missing/b.h5"])
-def test_an_impossible_output_is_refused_before_reading(source, tmp_path, name, capsys):
-    assert main(["convert", str(source), str(tmp_path / name)]) == 2
-    assert capsys.readouterr().err.count("\n") == 1
-
-
 def test_a_failure_leaves_nothing(source, tmp_path, monkeypatch):
     def broken(recording, path):
         path.write_text("half")

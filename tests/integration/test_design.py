@@ -233,19 +233,3 @@ def test_the_command_end_to_end(tmp_path, one_level, capsys):
     assert "<svg" in (out / "report.html").read_text()
     assert "next: far, for dvs128 by gamma" in capsys.readouterr().out
     assert main(["simulate", "dvs128", "--stimulus", str(out / "next.toml"), "--out", str(tmp_path / "n.h5")]) == 0
-
-
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (["dvs128", "--criterion", "E"], "expected D, A or a free parameter"),
-        (["dvs128", "--recorded", "missing.h5"], "no such file"),
-        (["dvs128", "--menu", "missing.toml"], "cannot be read"),
-        (["ideal"], "every parameter is fixed|threshold_noise"),
-    ],
-)
-def test_bad_input_is_refused(words, says, tmp_path, capsys):
-    assert main(["design", *words, "--out", str(tmp_path / "out")]) == 2
-    printed = capsys.readouterr().err
-    assert any(word in printed for word in says.split("|"))
-    assert not (tmp_path / "out").exists()

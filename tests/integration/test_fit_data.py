@@ -12,7 +12,7 @@ from pixelid.fit.data import event_times_of
 from pixelid.fit.uncertainty.profiles import objective_of, profile
 from pixelid.gap.gap import gap
 from pixelid.model.shipped import find_model
-from pixelid.sample.target import Target
+from pixelid.sample.sample import Target
 from pixelid.sensors.sensor import fit_sensor
 from pixelid.simulate import simulate
 from pixelid.stimuli.resample import resampled

@@ -28,7 +28,7 @@ from pixelid.gap.detect.maps import map_residuals
 from pixelid.gap.detect.residuals import Tangents, residuals, tangents
 from pixelid.gap.gap import gap
 from pixelid.gap.imputation.draws import draw_times
-from pixelid.gap.imputation.jitter import uneven
+from pixelid.gap.imputation.imputed import uneven
 from pixelid.gap.imputation.windows import jitter_windows, queue_windows, with_times
 from pixelid.gap.options import Context, Options
 from pixelid.gap.phases import Phase
@@ -71,6 +71,15 @@ def likelihood_of(recordings):
     return EventTimes([r.with_stimulus(resampled(r.stimulus, "smooth")) for r in recordings])
 
 
+@pytest.fixture(scope="module")
+def plain():
+    """(likelihood, residuals, tangents, cells) of the true model of a session."""
+    likelihood, coordinates = likelihood_of(session(MODEL, side=4, seed=3)), Coordinates.of(MODEL)
+    here = residuals(likelihood, MODEL.circuit())
+    cells = sort_events(likelihood, MODEL.circuit(), here)
+    return likelihood, here, tangents(likelihood, coordinates, coordinates.start, here), cells
+
+
 # --- the light between its samples ---
 
 
@@ -110,13 +119,8 @@ def test_residuals_of_the_truth_are_standard_normal():
     assert stats.kstest(z.e, "norm").pvalue > 1e-3
 
 
-def test_maps_find_a_shift_where_it_is_and_nothing_where_there_is_none():
-    recordings = session(MODEL, side=4, seed=3)
-    likelihood = likelihood_of(recordings)
-    coordinates = Coordinates.of(MODEL)
-    here = residuals(likelihood, MODEL.circuit())
-    tangent = tangents(likelihood, coordinates, coordinates.start, here)
-    cells = sort_events(likelihood, MODEL.circuit(), here)
+def test_maps_find_a_shift_where_it_is_and_nothing_where_there_is_none(plain):
+    likelihood, here, tangent, cells = plain
     assert map_residuals(likelihood, here, tangent, cells, Criteria(), 0).p > 0.01
     pair = cells[0]
     moved = replace(here, e=here.e + 0.5 * (pair.cell == pair.labels.index("ON after OFF")))
@@ -128,13 +132,9 @@ def test_maps_find_a_shift_where_it_is_and_nothing_where_there_is_none():
 
 
 @pytest.mark.parametrize(("on", "off"), [(1.3, 0.8), (1.0, 1.0)])
-def test_maps_find_that_one_polarity_scatters_more(on, off):
+def test_maps_find_that_one_polarity_scatters_more(plain, on, off):
     """Noise goes with the threshold, so that another threshold of ON events could pass for more noise of theirs."""
-    likelihood = likelihood_of(session(MODEL, side=4, seed=3))
-    here = residuals(likelihood, MODEL.circuit())
-    coordinates = Coordinates.of(MODEL)
-    tangent = tangents(likelihood, coordinates, coordinates.start, here)
-    cells = sort_events(likelihood, MODEL.circuit(), here)
+    likelihood, here, tangent, cells = plain
     scattered = replace(here, e=here.e * np.where(likelihood.sign > 0, on, off))
     maps = map_residuals(likelihood, scattered, tangent, cells, Criteria(), 0)
     if on == off:
@@ -196,12 +196,8 @@ def test_what_sessions_simulated_from_the_model_leave_too_is_nothing(monkeypatch
         assert (looked_at["p_of_what_is_left"] >= 0.005) == (verdict == "none")
 
 
-def test_maps_do_not_depend_on_the_rounding_of_what_parameters_move():
-    likelihood = likelihood_of(session(MODEL, side=4, seed=3))
-    coordinates = Coordinates.of(MODEL)
-    here = residuals(likelihood, MODEL.circuit())
-    tangent = tangents(likelihood, coordinates, coordinates.start, here)
-    cells = sort_events(likelihood, MODEL.circuit(), here)
+def test_maps_do_not_depend_on_the_rounding_of_what_parameters_move(plain):
+    likelihood, here, tangent, cells = plain
     rng = np.random.default_rng(0)
     rounded = Tangents(
         *(J + 1e-8 * rng.standard_t(2, J.shape) * (J != 0) for J in (tangent.level, tangent.log_scale, tangent.apart))
@@ -515,8 +511,8 @@ def test_a_gain_that_sessions_without_the_effect_show_as_well_is_chance():
         assert chance_of_excess(0.5 * (2.5 * usual + 7.0) ** 2, gains[0, 1:], 10, Criteria()) < 0.005
 
 
-def test_a_pole_that_ran_away_comes_back():
-    likelihood = likelihood_of(session(MODEL, side=4, seed=3))
+def test_a_pole_that_ran_away_comes_back(plain):
+    likelihood = plain[0]
     without = maximise(likelihood, MODEL.without_effect("differencing_pole"), tolerance=1e-3, max_steps=60)
     away = without.model.with_effect("differencing_pole", {"diff_cutoff_hz": 1e8})
     assert maximise(likelihood, away, tolerance=0.05, max_steps=25).values["diff_cutoff_hz"] > 1e7
@@ -536,10 +532,8 @@ def test_a_photoreceptor_that_ran_away_comes_back_whole():
         assert back.values[name] == pytest.approx(MODEL.values[name], rel=0.1)
 
 
-def test_cells_of_one_pool_serve_another():
-    mine, theirs = (likelihood_of(session(MODEL, side=side, seed=3)) for side in (4, 3))
-    circuit = MODEL.circuit()
-    first = sort_events(mine, circuit, residuals(mine, circuit))
+def test_cells_of_one_pool_serve_another(plain):
+    theirs, circuit, first = likelihood_of(session(MODEL, side=3, seed=3)), MODEL.circuit(), plain[3]
     other = sort_events(theirs, circuit, residuals(theirs, circuit), like=first)
     assert [f.labels for f in first] == [f.labels for f in other]
     for factor in other:
@@ -672,23 +666,6 @@ def test_command_writes_what_it_promises(tmp_path):
     assert told["verdict"] in ("none", "named", "ambiguous", "unknown")
     assert (out / "report.html").is_file()
     assert find_model(out / "model.toml").effects == MODEL.effects
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (["--with", "leek"], "leek"),
-        (["--without", "threshold_noise"], "threshold_noise"),
-        (["--alpha", "0.9"], "alpha"),
-    ],
-)
-def test_bad_input(tmp_path, capsys, options, words):
-    recording = session(MODEL, side=2, lights={"slow_24": slow(24.0, seed=2)})[0]
-    write_recording(recording, tmp_path / "r.h5")
-    out = tmp_path / "gap"
-    assert main(["gap", str(tmp_path / "r.h5"), "--model", "dvs128", "--out", str(out), "--quiet", *options]) == 2
-    assert words in capsys.readouterr().err
-    assert not out.exists()
 
 
 def test_pooled_and_empty_recordings_are_refused():

@@ -26,7 +26,6 @@ from pixelid.gap.gap import gap
 from pixelid.gap.imputation.exact import keeps_its_times, loses_where_times_are_exact
 from pixelid.gap.imputation.impute import _completed, impute, impute_simulated, impute_with_effect
 from pixelid.gap.imputation.imputed import JITTER, QUEUE, TICK, Imputation, draw_again
-from pixelid.gap.imputation.stamps import Stamps
 from pixelid.gap.imputation.windows import Windows, guess_edges, queue_windows, tick_windows, with_times
 from pixelid.gap.options import Context, Options
 from pixelid.gap.phases import Phase
@@ -39,7 +38,7 @@ from pixelid.gap.steps import discount_imputation_noise as discounting
 from pixelid.gap.steps import explain_by_shot_noise as by_noise
 from pixelid.gap.steps import name_beside_shot_noise as beside
 from pixelid.gap.steps import withdraw as withdrawing
-from pixelid.gap.steps.ask_stamps import ask_stamps, split_pole
+from pixelid.gap.steps.ask_stamps import Stamps, ask_stamps, split_pole
 from pixelid.gap.steps.name_effect import (
     NOTHING_LEFT_FOR_IT,
     ONLY_WHERE_DRAWN,
@@ -51,7 +50,7 @@ from pixelid.gap.steps.name_effect import (
     without_idle,
     without_misplaced,
 )
-from pixelid.gap.steps.undo_readout import undo_readout
+from pixelid.gap.steps.withdraw import undo_readout
 from pixelid.inspection.timestamps import TimestampSignature
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.shipped import find_model

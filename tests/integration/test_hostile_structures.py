@@ -1,6 +1,5 @@
-"""Well-formed files of which one field is hostile, and folders that are not what they should be, in every command.
-
-`tests/structures.py` makes the files, from a good one of each kind; by hand it takes any number of them.
+"""Files of which one field is hostile, files damaged in bytes, and folders that are not what they should be, in every
+command: `PIXELID_MUTANTS=10 pytest -m slow` takes so many of each pair of file and command.
 """
 
 import os
@@ -9,13 +8,17 @@ import shutil
 from pathlib import Path
 from types import SimpleNamespace
 
+import fuzz
 import mutants
 import numpy as np
 import pytest
 import structures
-from structures import CASES, Case
+from processes import Outcome, import_everything
+from structures import CASES, LEFT_OVERS
 
 SEED, EACH = 20, 2
+MANY = int(os.environ.get("PIXELID_MUTANTS", "5"))
+SHARED = Path(os.environ.get("PIXELID_SHARED", Path(__file__).parents[3] / "shared")) / "bad_files"
 PLAIN = [case for case in CASES if not case.heavy and not case.computed]
 FILES = sorted({case.file for case in PLAIN})
 
@@ -42,20 +45,55 @@ def test_one_hostile_field(file, plain):
             assert not said, (mutant[0], case.words, said)
 
 
-@pytest.mark.slow
-def test_many_hostile_fields_in_every_command(tmp_path):
-    """Five of each case, those that compute among them."""
-    structures.import_everything()
-    folder = tmp_path / "here"
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """Good files of every kind."""
+    folder = tmp_path_factory.mktemp("whole") / "here"
     folder.mkdir()
+    import_everything()
     structures.prepare(folder)
-    made = {file: mutants.mutants(folder / file) for file in {case.file for case in CASES}}
-    wrong = []
-    for case, mutant in structures.chosen(CASES, made, 5, 5, random.Random(SEED)):
-        _, said = structures.answer(folder, case, mutant)
-        if said:
-            wrong.append((mutant[0], case.words, said))
-    assert not wrong
+    return folder
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case.words} {case.file}")
+def test_many_hostile_fields_in_every_command(case, whole):
+    chance = random.Random(f"{SEED} {case.file} {case.words}")
+    made = mutants.mutants(whole / case.file)
+    for mutant in chance.sample(made, min(MANY, len(made))):
+        _, said = structures.answer(whole, case, mutant)
+        assert not said, (mutant[0], said)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", [*CASES, *LEFT_OVERS], ids=lambda case: f"{case.words} {case.file}")
+def test_no_file_breaks_a_command(case, whole):
+    """A third of the files of this kind that broke a command once, each damaged as well, and some of other kinds."""
+    chance = random.Random(f"{case.file} {case.words}")
+    files = sorted(SHARED.glob("*/*")) or sorted(structures.DATA.rglob("*.json"))
+    meant = [file for file in files if file.suffix == Path(case.file).suffix]
+    for file in [*chance.sample(meant, (len(meant) + 2) // 3), *chance.sample(files, 3)]:
+        for tried in (file.read_bytes(), fuzz.damaged(file.read_bytes(), chance)):
+            _, said = structures.answer(whole, case, (file.name, tried))
+            assert not said, (file, said)
+
+
+def test_the_judge_of_answers_sees_what_is_wrong():
+    old = {"good.h5": (1,)}
+    for code, said, after in (
+        (2, "", old),
+        (2, "pixelid: a\nb\nc\nd", old),
+        (2, "pixelid: a: missing", {**old, "out": ()}),
+        (2, "pixelid: a: missing", {"good.h5": (2,)}),
+        (1, "pixelid: a: missing", old),
+        (0, "", {**old, "half": ()}),
+        (1, "pixelid: unexpected OSError; this is a bug", old),
+        (-11, "", old),
+        (2, "pixelid: \x1b[2J", old),
+    ):
+        assert structures.complaint("fit a --out out", Outcome(code, said, {}), old, after)
+    assert not structures.complaint("fit a --out out", Outcome(2, "pixelid: a: missing", {}), old, old)
+    assert not structures.complaint("fit a --out out", Outcome(1, "", {}), old, {**old, "out": ()})
 
 
 # what stands in place of a file: name → how it is made
@@ -77,7 +115,7 @@ def test_something_else_in_place_of_a_file(file, place, plain):
         case = next(case for case in PLAIN if case.file == file)
         before = structures.fingerprints(plain)
         outcome = structures.run_here([*case.words.split(), "--quiet"], plain, structures.MOST_CPU_S)
-        said = structures.complaint(case, outcome, before, structures.fingerprints(plain))
+        said = structures.complaint(case.words, outcome, before, structures.fingerprints(plain))
         structures.remove_new(plain, before)
         assert not said, said
         if place not in ("loop", "dangling") and case.command not in ("report", "render"):  # which take folders
@@ -140,7 +178,7 @@ def test_folders_of_frames(frames, tmp_path):
     before = structures.fingerprints(tmp_path)
     words = "simulate dvs128 --stimulus frames --out out.h5 --quiet"
     outcome = structures.run_here(words.split(), tmp_path, structures.MOST_CPU_S)
-    said = structures.complaint(Case("", words), outcome, before, structures.fingerprints(tmp_path))
+    said = structures.complaint(words, outcome, before, structures.fingerprints(tmp_path))
     assert not said, said
     assert outcome.code == (0 if good else 2), outcome.said
 
@@ -166,7 +204,7 @@ def test_files_that_name_themselves_or_nothing(file, tmp_path):
     (tmp_path / file).write_text(text)
     before = structures.fingerprints(tmp_path)
     outcome = structures.run_here(words.split(), tmp_path, structures.MOST_CPU_S)
-    said = structures.complaint(Case(file, words), outcome, before, structures.fingerprints(tmp_path))
+    said = structures.complaint(words, outcome, before, structures.fingerprints(tmp_path))
     assert not said, said
     assert outcome.code == 2
 
@@ -203,7 +241,7 @@ def test_outputs_in_place_of_inputs_and_of_what_is_not_ours(words, plain):
         after = structures.fingerprints(plain)
         assert outcome.code == 2, (told, outcome.said)
         assert before == after, told
-        assert not structures.complaint(Case(file, words), outcome, before, after)
+        assert not structures.complaint(words, outcome, before, after)
 
 
 @pytest.mark.parametrize(

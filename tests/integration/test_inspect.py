@@ -328,14 +328,6 @@ def test_command_writes_json_and_figures(tmp_path, capsys):
     assert "100.0" in capsys.readouterr().out
 
 
-def test_command_refuses_in_one_line(tmp_path, capsys):
-    (tmp_path / "r.h5").write_bytes(b"")
-    assert main(["inspect", str(tmp_path / "r.h5")]) == 2
-    message = capsys.readouterr().err
-    assert message.count("\n") == 1
-    assert "empty file" in message
-
-
 @pytest.mark.parametrize(
     "stretches", [((0, 2), (4, 6)), ((0, 2), (22, 24)), ((0, 4), (60, 60.001)), ((0, 10), (70, 80))]
 )

@@ -268,19 +268,3 @@ def test_the_command_end_to_end(tmp_path, capsys):
     (out / "report.html").unlink()
     assert main(["report", str(out)]) == 0
     assert (out / "report.html").is_file()
-
-
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (["lowlight", "ideal"], "no bandwidth limit"),
-        (["lowlight", "nothing"], "no model"),
-        (["lowlight", "dvs128", "missing.h5"], "no such file"),
-        (["lowlight", "dvs128", "--with", "glow"], "glow"),
-        (["lowlight", "dvs128", "--with", "described.rate.radiance.power:strength=5"], "described effects of rate"),
-    ],
-)
-def test_bad_input_is_refused(words, says, tmp_path, capsys):
-    assert main([*words, "--out", str(tmp_path / "out")]) == 2
-    assert says in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()

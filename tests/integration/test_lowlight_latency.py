@@ -140,28 +140,6 @@ def test_a_shipped_sensor_by_its_recipe(tmp_path):
     assert any("later stages hide it" in said for said in found["sentences"])
 
 
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        ("gen31 --latency {nist}", "--camera"),
-        ("gen31 --latency {nist} --camera CAM9", "CAM9"),
-        ("gen31 --camera CAM3", "--latency"),
-        ("dvs128 --latency {nist} --camera CAM3", "W/m2"),
-        ("gen31 --latency {nist} --latency {fits}/gen31.toml", "header"),
-        ("gen31 --latency {fits}/gen31.toml --latency {nist}", "stands alone"),
-        ("gen31 --latency {fits}", "latency.json"),
-        ("gen31 --latency no.csv", "no.csv"),
-    ],
-)
-@pytest.mark.skipif(not FITS.is_dir(), reason="needs a checkout")
-def test_bad_input_is_refused(words, says, tmp_path, capsys):
-    nist = FITS / "nist_latency" / "nist_latency_median_over_roi.csv"
-    given = words.format(nist=nist, fits=FITS).split()
-    assert run("lowlight", *given, "--out", tmp_path / "out") == 2
-    assert says in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
-
-
 @pytest.mark.skipif(not FITS.is_dir(), reason="needs a checkout")
 def test_a_camera_without_medians_is_refused(tmp_path, capsys):
     lines = (FITS / "nist_latency" / "nist_latency_median_over_roi.csv").read_text().splitlines()

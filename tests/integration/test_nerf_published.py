@@ -16,9 +16,10 @@ from pixelid.errors import InputError
 from pixelid.nerf.data.camera import Camera
 from pixelid.nerf.data.dataset import read_dataset
 from pixelid.nerf.data.published import esim, esim_flags, tumvie
-from pixelid.nerf.data.published.undistort import pinhole_of, undistorted
+from pixelid.nerf.data.published.posed_views import pinhole_of, undistorted
 from pixelid.nerf.data.scenes import procedural
 from pixelid.nerf.data.trajectory import Trajectory
+from pixelid.nerf.options import DatasetOptions
 from pixelid.nerf.synthetic import SETTINGS
 from pixelid.stages.photoreceptor import NOMINAL
 
@@ -517,7 +518,7 @@ def test_views_are_refused_before_events_are_read(wrong, views, says, tmp_path, 
     monkeypatch.setitem(convert.LAYOUTS, "esim", lambda path, camera: source)
     (tmp_path / "out").mkdir()
     with pytest.raises(AssertionError if wrong == "nothing" and views == 2 else InputError, match=says):
-        convert.convert(tmp_path, "esim", tmp_path / "out", views=views)
+        convert.convert(tmp_path, "esim", tmp_path / "out", DatasetOptions(views=views))
 
 
 def test_a_single_picture_is_refused(truth, tmp_path, capsys):
@@ -649,7 +650,7 @@ def peak_bytes_of_events(folder: Path, copies: int, truth, monkeypatch) -> int:
             held.append(tracemalloc.get_traced_memory()[1])
 
     tracemalloc.start()
-    kept = convert(folder, "eds", folder / "out", views=0, progress=progress).content["events"]["kept"]
+    kept = convert(folder, "eds", folder / "out", DatasetOptions(views=0), progress).content["events"]["kept"]
     tracemalloc.stop()
     assert kept == len(order)
     return held[-1] - held[0]

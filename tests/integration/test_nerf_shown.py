@@ -19,8 +19,9 @@ from pixelid.nerf.data.dataset import write_poses
 from pixelid.nerf.data.views import Views, read_views
 from pixelid.nerf.field.harmonics import harmonics
 from pixelid.nerf.field.radiance import Field
+from pixelid.nerf.options import RenderOptions
 from pixelid.nerf.shown.evaluate import render_views
-from pixelid.nerf.shown.render import Wanted, render
+from pixelid.nerf.shown.render import render
 from pixelid.nerf.shown.saved import SavedReconstruction, write_field
 from pixelid.nerf.shown.solid import depth_of, mesh_of
 from pixelid.nerf.shown.splats import splats_of
@@ -649,7 +650,7 @@ def test_many_frames_take_no_more_memory_than_few(folder, tmp_path):
         way = way_of_file(scene, None)
         (tmp_path / str(number)).mkdir()
         tracemalloc.start()
-        made = render(folder, saved, way, tmp_path / str(number), Wanted(depth=True))
+        made = render(folder, saved, way, tmp_path / str(number), RenderOptions(depth=True))
         most[number] = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
         assert len(made.content["errors"]["frames"]) == number

@@ -514,10 +514,3 @@ def test_bad_recordings():
         reduced_recordings([Recording(Events.empty(2, 2), ramp)])
     with pytest.raises(InputError, match="no events"):
         reduced_recordings([Recording(Events.empty(2, 2), Stimulus.from_arrays([0.0, 1.0], [1.0, 1.0]))])
-
-
-def test_predict_needs_a_model(tmp_path):
-    table = write_table(tmp_path / "noise.csv", planted())
-    assert run("noise", table, "--predict", "--out", tmp_path / "out") == 2
-    assert run("noise", table, "--model", "nothing", "--out", tmp_path / "out") == 2
-    assert run("noise", tmp_path / "absent.csv", "--out", tmp_path / "out") == 2

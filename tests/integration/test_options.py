@@ -4,7 +4,6 @@ The commands get good inputs beside the hostile value, so that what passes the c
 """
 
 import shutil
-import signal
 from pathlib import Path
 
 import click
@@ -12,10 +11,10 @@ import fuzz_targets
 import h5py
 import numpy as np
 import pytest
+import structures
 
 from pixelid.cli import options
-from pixelid.cli.main import COMMANDS, LazyGroup, cli, main
-from pixelid.errors import printable
+from pixelid.cli.main import COMMANDS, LazyGroup, cli
 from pixelid.recordings import Events, Recording, write_recording
 from pixelid.stimuli.stimulus import Stimulus
 
@@ -120,40 +119,15 @@ def write_sequence(folder: Path) -> None:
     (folder / "camchain.yaml").write_text(camera)
 
 
-def answer(words: list[str], place: Path, capsys, monkeypatch, most_s: float = MOST_S) -> int:
+def answer(words: list[str], place: Path, most_s: float = MOST_S) -> int:
     """The exit code; wrong answers fail here."""
-    monkeypatch.chdir(place)
-    before = everything(place)
-
-    def too_long(*_):
-        raise TimeoutError
-
-    signal.signal(signal.SIGVTALRM, too_long)
-    signal.setitimer(signal.ITIMER_VIRTUAL, most_s)
-    try:
-        code = main([*words, "--quiet"])
-    finally:
-        signal.setitimer(signal.ITIMER_VIRTUAL, 0)
-    said = capsys.readouterr().err
-    assert code in (0, 1, 2), said
-    assert "this is a bug" not in said
-    assert "Traceback" not in said
-    assert printable(said) == said
-    assert len(said.splitlines()) <= 3
-    assert max(map(len, said.splitlines()), default=0) < 1100
-    new = everything(place) - before
-    if code == 2:
-        assert not new
-        assert said.startswith("pixelid: ")
-    for file in sorted(new):
-        if file.exists():
-            shutil.rmtree(file) if file.is_dir() else file.unlink()
-    return code
-
-
-def everything(place: Path) -> set[Path]:
-    """Every file and folder but the pages that `report` writes."""
-    return {file for file in place.rglob("*") if file.name != "report.html"}
+    before = structures.fingerprints(place)
+    outcome = structures.run_here([*words, "--quiet"], place, most_s)
+    after = structures.fingerprints(place)
+    structures.remove_new(place, before)
+    assert not structures.complaint(" ".join(words), outcome, before, after, most_s), (words, outcome.said)
+    assert outcome.code != 2 or outcome.said.startswith("pixelid: ")
+    return outcome.code
 
 
 def test_every_command_has_words():
@@ -161,25 +135,25 @@ def test_every_command_has_words():
 
 
 @pytest.mark.parametrize("command", GOOD)
-def test_what_is_no_number_and_no_choice(command, place, capsys, monkeypatch):
+def test_what_is_no_number_and_no_choice(command, place):
     good = GOOD[command].format(out="out").split()
     for words, refused in cases(command):
         if refused:
-            assert answer([command, *good, *words], place, capsys, monkeypatch) == 2, words
+            assert answer([command, *good, *words], place) == 2, words
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("command", [name for name in GOOD if name not in ("demo", "flicker")])
-def test_the_words_run(command, place, capsys, monkeypatch):
+def test_the_words_run(command, place):
     words = [command, *GOOD[command].format(out="out").split()]
-    assert answer(words, place, capsys, monkeypatch, MOST_WORK_S) in (0, 1)
+    assert answer(words, place, MOST_WORK_S) in (0, 1)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("command", [name for name in GOOD if name != "demo"])  # which takes minutes, whatever its seed
-def test_texts_and_huge_numbers(command, place, capsys, monkeypatch):
+def test_texts_and_huge_numbers(command, place):
     good, most_s = GOOD[command].format(out="out").split(), MOST_WORK_S  # the first call may compile
     for words, refused in cases(command):
         if not refused:
-            answer([command, *good, *words], place, capsys, monkeypatch, most_s)
+            answer([command, *good, *words], place, most_s)
             most_s = MOST_S

@@ -336,20 +336,6 @@ def test_command_writes_maps(tmp_path, sensor, model, capsys):
     assert "exists already" in capsys.readouterr().err
 
 
-def test_bad_input_is_one_plain_line(tmp_path, sensor, capsys):
-    write_recording(sensor[0], tmp_path / "r.h5")
-    base = ["sensor", str(tmp_path / "r.h5"), "--model", "dvs128", "--out", str(tmp_path / "maps"), "--quiet"]
-    for extra, expected in (
-        (["--bandwidth", "on_threshold"], "expected a cutoff"),
-        (["--bandwidth", "nonsense"], "nonsense"),
-        (["--workers", "1", "--cluster", "tcp://127.0.0.1:1"], "exclude"),
-    ):
-        assert main([*base, *extra]) == 2
-        error = capsys.readouterr().err
-        assert expected in error
-        assert error.count("\n") == 1
-
-
 def test_events_that_have_nothing_to_do_with_the_light_are_a_misfit(sensor, model):
     rng, mixed = np.random.default_rng(1), []
     for r in [sensor[0]]:

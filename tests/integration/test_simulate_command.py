@@ -1,6 +1,5 @@
 """`pixelid simulate` and `pixelid models`, as users call them."""
 
-import numpy as np
 import pytest
 
 from pixelid.cli.main import main
@@ -49,44 +48,6 @@ def test_a_video_sets_the_sensor(tmp_path, capsys):
     assert main(["simulate", "dvs128", "--stimulus", str(video), "--out", str(out)]) == 0
     assert open_recording(out).events.width == 24
     assert main(["simulate", "dvs128", "--stimulus", str(video), "--out", str(out), "--pixels", "9"]) == 2
-
-
-@pytest.mark.parametrize(
-    ("extra", "says"),
-    [
-        (["--with", "leek"], "parasitic_photocurrent"),
-        (["--without", "leek"], "parasitic_photocurrent"),
-        (["--with", "leak:speed=3"], "rate_hz"),
-        (["--with", "leak:rate_hz=fast"], "name=value"),
-        (["--with", "leak:rate_hz=-3"], "leak.rate_hz"),
-        (["--with", "leak", "--without", "leak"], "both"),
-        (["--set", "nothing=1"], "on_threshold"),
-        (["--set", "on_threshold"], "name=value"),
-        (["--pixels", "0"], "pixels"),
-        (["--pixels", "many"], "pixels"),
-        (["--stimulus", "no-such"], "chirp"),
-        (["--out", "rec.xyz"], ".h5"),
-        (["--with", "hot_pixels:count=1000"], "hot_pixels.count"),
-    ],
-)
-def test_bad_input_is_one_plain_line(tmp_path, light, extra, says, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert main(["simulate", "dvs128", "--stimulus", light, "--out", "rec.h5", *extra]) == 2
-    err = capsys.readouterr().err
-    assert says in err
-    assert err.count("\n") == 1
-    assert not (tmp_path / "rec.h5").exists()
-
-
-def test_a_stimulus_with_nan_is_refused(tmp_path, capsys):
-    import h5py
-
-    path = tmp_path / "bad.h5"
-    write_recording(Recording(Events.empty(1, 1), shapes.sine(duration_s=0.01)), path)
-    with h5py.File(path, "r+") as file:
-        file["stimulus/radiance"][3] = np.nan
-    assert main(["simulate", "dvs128", "--stimulus", str(path), "--out", str(tmp_path / "o.h5")]) == 2
-    assert "NaN" in capsys.readouterr().err
 
 
 def test_models_lists_and_prints(capsys):

@@ -6,19 +6,46 @@ For short recordings: explicit solvers take steps of about 3 / the fastest cutof
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import torch
 from torchdiffeq import odeint, odeint_adjoint, odeint_event
 
-from pixelid.dynamics.continuous import steady_state, torch_module
-from pixelid.dynamics.hold import present_states
+from pixelid.dynamics.continuous import present_states, right_hand_side
 from pixelid.dynamics.of_circuit import dynamics_of
 from pixelid.dynamics.trajectory import Dynamics
 from pixelid.errors import InputError
 from pixelid.stages.circuit import Circuit
 
 Light = Callable[[torch.Tensor], torch.Tensor]
+
+
+def steady_state(dynamics: Dynamics, u: float) -> np.ndarray:
+    """(order,) state under constant log radiance u: every output at u, slopes and high-passed outputs at zero."""
+    names = present_states(dynamics)
+    zero = {"photoreceptor_slope"} | ({"differencing"} if "lower_cutoff" in names else set())
+    return np.array([0.0 if name in zero else u for name in names])
+
+
+def torch_module(dynamics: Dynamics, log_radiance: Callable) -> Any:
+    """`torch.nn.Module` f(t, x) → dx/dt for `torchdiffeq.odeint`: x (…, order), log_radiance(t) → u (…) tensor.
+
+    `module.values` (8,) float64, the fields of `Dynamics`, is a parameter to differentiate or fit; entries of
+    absent stages get no gradient.  Explicit solvers need steps below about 3 / the fastest cutoff.
+    """
+
+    class Pixel(torch.nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.values = torch.nn.Parameter(torch.tensor(list(dynamics), dtype=torch.float64))
+
+        def forward(self, t, x):
+            _, derivatives = right_hand_side(dynamics, tuple(self.values))
+            u = log_radiance(t)
+            return torch.stack(derivatives(x.unbind(-1), u, torch.exp(u)), dim=-1)
+
+    return Pixel()
 
 
 def log_linear(t: np.ndarray, radiance: np.ndarray) -> Light:
@@ -36,7 +63,7 @@ def log_linear(t: np.ndarray, radiance: np.ndarray) -> Light:
 def trajectory(
     dynamics: Dynamics, log_radiance: Light, t, *, adjoint: bool = False, rtol: float = 1e-9, atol: float = 1e-10
 ) -> tuple[torch.nn.Module, torch.Tensor]:
-    """(module, states (n, order)) at times t (n,), from the steady state at t[0]; see `continuous.torch_module`.
+    """(module, states (n, order)) at times t (n,), from the steady state at t[0]; see `torch_module`.
 
     `module.values.grad` receives derivatives: through the solver's operations, or by the adjoint equations, which need
     memory for one state only.

@@ -6,7 +6,8 @@ import math
 
 import mpmath as mp
 
-from pixelid.dynamics.hold import present_states, rates
+from oracles.first_order_hold import rates
+from pixelid.dynamics.continuous import present_states
 
 
 def system(names, rate):

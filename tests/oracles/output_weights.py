@@ -18,14 +18,10 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from pixelid.dynamics import hold
+from oracles import first_order_hold as hold
+from pixelid.dynamics.continuous import photoreceptor_kind, present_states
 from pixelid.dynamics.kernels import linearised_at
 from pixelid.dynamics.trajectory import STAGES, Dynamics
-from pixelid.errors import InputError
-
-OUTPUTS = ("photoreceptor", "source_follower", "extra_pole", "differencing")
-LINEARISATIONS = ("newer", "midpoint")
-PASTS = ("normalised", "steady", "dropped")
 
 
 def output_weights(
@@ -34,8 +30,8 @@ def output_weights(
     """Weights (S, N) of the log radiance (S, N) in the output at the last sample, for N pixels at once.
 
     dt_s: (S−1, N) seconds between samples, ≥ 0 (0: a jump);  radiance: (S, N), > 0, any one unit;
-    output: one of `OUTPUTS`, never reset;  linearisation: at the "newer" sample of each step (as in the paper)
-    or at its "midpoint" (second order in the step).
+    output: a stage but the lower cutoff, never reset;  linearisation: at the "newer" sample of each step (as in the
+    paper) or at its "midpoint" (second order in the step).
 
     past: what stands for the light before the first sample.
         "normalised"  nothing; the weights are rescaled to sum to one (the paper).
@@ -44,27 +40,14 @@ def output_weights(
 
     Tiny weights are as accurate, relatively, as large ones while the poles are real (see `first_order_hold`).
     Behind a lower cutoff the differencing output forgets its DC level: its weights sum to zero, not one.
-
-    Raises InputError for shapes that do not fit, radiance ≤ 0, dt < 0, an unknown option, or "normalised" weights
-    behind a lower cutoff.
     """
     radiance = np.ascontiguousarray(radiance, dtype=np.float64)
     dt_s = np.ascontiguousarray(dt_s, dtype=np.float64)
-    if radiance.ndim != 2 or len(radiance) == 0 or not (radiance > 0).all():
-        raise InputError(f"radiance must be positive with shape (samples, pixels), found shape {radiance.shape}")
-    if dt_s.shape != (len(radiance) - 1, radiance.shape[1]) or not (dt_s >= 0).all():
-        raise InputError(f"dt_s must be ≥ 0, one row less than radiance {radiance.shape}, found shape {dt_s.shape}")
-    for value, known in ((output, OUTPUTS), (linearisation, LINEARISATIONS), (past, PASTS)):
-        if value not in known:
-            raise InputError(f"expected one of {', '.join(known)}, found {value!r}")
     names, row, steady, direct = _read_out(dynamics, output)
-    if past == "normalised" and row @ steady + direct == 0:
-        raise InputError("weights behind a lower cutoff sum to zero and cannot be normalised: use past='steady'")
-
     weights = np.zeros(radiance.shape)
     remaining = np.repeat(row[None, :], radiance.shape[1], axis=0)
     weights[-1] = direct
-    poles = hold.PHOTORECEPTORS.index(hold.photoreceptor_kind(dynamics))
+    poles = ("unlimited", "one_pole", "second_order").index(photoreceptor_kind(dynamics))
     photoreceptor = (dynamics.alpha, dynamics.beta, dynamics.gamma)
     rate = hold.rates(dynamics, 1.0, names)
     if names:
@@ -81,7 +64,7 @@ def output_weights(
 
 def _read_out(dynamics, output):
     """(states up to the output, row (n,) that reads it, steady state (n,) under u = 1, weight of u itself)."""
-    names = [name for name in hold.present_states(dynamics) if STAGES.index(name) <= STAGES.index(output)]
+    names = [name for name in present_states(dynamics) if STAGES.index(name) <= STAGES.index(output)]
     row = np.zeros(len(names))
     direct = 0.0
     level = [i for i, name in enumerate(names) if name in ("photoreceptor", "source_follower", "extra_pole")]

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from oracles.first_order_hold import first_order_hold
 
 from pixelid.dynamics import kernels
-from pixelid.dynamics.hold import first_order_hold, present_states
+from pixelid.dynamics.continuous import present_states
 from pixelid.dynamics.trajectory import STAGES, Dynamics, integrate
 
 PIXEL = Dynamics(61283.0, 1848.0, 1.12, follower=19616.0, differencing=100531.0)

@@ -9,8 +9,7 @@ import pytest
 
 from pixelid import stages
 from pixelid.conform.conform import conform
-from pixelid.conform.fold import Beside, rows_of
-from pixelid.conform.power import nats_needed
+from pixelid.conform.fold import Beside, nats_needed, rows_of
 from pixelid.conform.removals import BANDWIDTH, Removal, without_bandwidth
 from pixelid.conform.result import ConformReport
 from pixelid.conform.row import STAGES

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 from numba import njit
+from oracles.first_order_hold import first_order_hold
 from scipy.integrate import solve_ivp
 
 from pixelid.dynamics import kernels
 from pixelid.dynamics.equations import ABSENT_DIFFERENCING, ABSENT_EXTRA, ABSENT_FOLLOWER
-from pixelid.dynamics.hold import first_order_hold
 from pixelid.dynamics.trajectory import STAGES, Dynamics, integrate
 from pixelid.errors import InputError
 

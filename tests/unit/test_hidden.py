@@ -8,8 +8,7 @@ from make_demo_bench import DEMO
 
 from pixelid.bench.check import check
 from pixelid.bench.files import find_bench
-from pixelid.demo.demo import BENCH, TRUTH
-from pixelid.demo.hidden import hidden_and_found, hidden_values, sentence
+from pixelid.demo.demo import BENCH, TRUTH, hidden_and_found, hidden_values, sentence
 from pixelid.documents import read_json
 from pixelid.fit.result import Estimate
 from pixelid.recordings.reading import open_recording

@@ -4,11 +4,11 @@ import mpmath as mp
 import numpy as np
 import pytest
 from oracles.exact_hold import exact_hold
+from oracles.first_order_hold import first_order_hold
 
-from pixelid.dynamics.divided import exp_divided_difference
-from pixelid.dynamics.hold import first_order_hold, present_states
+from pixelid.dynamics.continuous import present_states
 from pixelid.dynamics.trajectory import Dynamics
-from pixelid.errors import InputError
+from pixelid.lowlight.response import exp_divided_difference
 
 GAPS = (0.0, 1e-15, 1e-13, 1e-11, 1e-9, 1e-7, 1e-5, 1e-3, 1e-2)
 UNDERFLOW = 1e-290
@@ -131,10 +131,3 @@ def test_photoreceptor_alone_and_names():
         "lower_cutoff",
         "differencing",
     )
-
-
-def test_nothing_to_discretise_is_refused():
-    with pytest.raises(InputError, match="0 poles"):
-        first_order_hold(Dynamics.unlimited(), 1.0, 1e-3)
-    with pytest.raises(InputError, match="dt ≥ 0"):
-        first_order_hold(Dynamics.low_light(30.0), 1.0, -1e-3)

@@ -27,6 +27,8 @@ class Few(Checked):
     steps: int | str = option(3, "Steps.", low=1, high=9, word="auto")
     rate: float | None = option(None, "Hz.", above=0.0)
     loud: bool = option(False, "Whether.")
+    name: str = option("", "Any text.")
+    size: tuple[int, ...] | None = option(None, "Pixels.", low=1, high=9, count=2)
 
 
 def test_values_are_taken_as_they_are_meant():
@@ -45,6 +47,8 @@ def test_values_are_taken_as_they_are_meant():
         ("corners", "12", "2 numbers"), ("steps", 0, "from 1 to 9 or 'auto'"), ("steps", "many", "from 1 to 9"),
         ("steps", 2.0, "whole number"), ("steps", True, "whole number"), ("rate", 0.0, "above 0"),
         ("rate", float("nan"), "finite"), ("rate", 10**400, "finite"), ("loud", 1, "True or False"),
+        ("name", 3, "text"),
+        ("size", (1, 0), "from 1 to 9"), ("size", (1.0, 2.0), "from 1 to 9"), ("size", 3, "2 numbers"),
     ],
 )  # fmt: skip
 def test_others_are_refused_by_name(name, value, expected):
@@ -64,8 +68,8 @@ def test_the_command_line_takes_what_fields_state():
         return CliRunner().invoke(show, words).output
 
     assert answer() == f"{Few()}\n"
-    asked = Few(Path("x"), "off", ("a", "b"), (1.0, 2.0), "auto", 2.0, True)
-    words = "--place x --way off --parts a --parts b --corners 1 2 --steps auto --rate 2 --loud"
+    asked = Few(Path("x"), "off", ("a", "b"), (1.0, 2.0), "auto", 2.0, True, "n", (3, 4))
+    words = "--place x --way off --parts a --parts b --corners 1 2 --steps auto --rate 2 --loud --name n --size 3 4"
     assert answer(*words.split()) == f"{asked}\n"
     for wrong in ("--way up", "--parts c", "--corners 1 -2", "--steps 10", "--rate 0"):
         assert "Error" in answer(*wrong.split())

@@ -7,7 +7,6 @@ from oracles.exact_hold import exact_hold
 from oracles.output_weights import output_weights
 
 from pixelid.dynamics.trajectory import Dynamics, integrate
-from pixelid.errors import InputError
 
 NOMINAL = Dynamics(61283.0, 1848.0, 1.12, follower=19616.0, differencing=100531.0)
 
@@ -87,37 +86,3 @@ def test_steady_past_is_the_scan(dynamics, output, linearisation):
         assert weights[:, i] @ np.log(radiance[:, i]) == pytest.approx(expected, abs=1e-10)
     high_passed = output == "differencing" and dynamics.lower_cutoff > 0
     np.testing.assert_allclose(weights.sum(axis=0), 0.0 if high_passed else 1.0, atol=1e-12)
-
-
-def test_what_each_past_means():
-    """Normalised weights are exact for constant light, and tend to the others as the past gets longer."""
-    dt, radiance = batch(6, 4, longest=5e-5)
-    raw = output_weights(dt, radiance, NOMINAL, past="dropped")
-    steady = output_weights(dt, radiance, NOMINAL, past="steady")
-    normalised = output_weights(dt, radiance, NOMINAL)
-    assert (raw.sum(axis=0) < 0.99).all()
-    np.testing.assert_array_equal(raw[1:], steady[1:])
-    np.testing.assert_allclose(raw[0] + 1 - raw.sum(axis=0), steady[0], atol=1e-13)
-    np.testing.assert_allclose(normalised, raw / raw.sum(axis=0), rtol=1e-14)
-    dt, radiance = batch(60, 4, longest=2e-3)
-    np.testing.assert_allclose(
-        output_weights(dt, radiance, NOMINAL), output_weights(dt, radiance, NOMINAL, past="steady"), atol=1e-13
-    )
-
-
-def test_one_sample_takes_all():
-    assert output_weights(np.empty((0, 2)), np.ones((1, 2)), NOMINAL, past="steady").tolist() == [[1.0, 1.0]]
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"dt_s": np.zeros((3, 2))}, "one row less"),
-        ({"radiance": np.zeros((3, 2))}, "positive"),
-        ({"output": "comparator"}, "'comparator'"),
-        ({"dynamics": NOMINAL._replace(lower_cutoff=1.0)}, "past='steady'"),
-    ],
-)
-def test_refusals(change, message):
-    with pytest.raises(InputError, match=message):
-        output_weights(**{"dt_s": np.ones((2, 2)), "radiance": np.ones((3, 2)), "dynamics": NOMINAL} | change)

@@ -28,7 +28,6 @@ RADAU = np.array(
         [(16.0 - ROOT) / 36.0, (16.0 + ROOT) / 36.0, 1.0 / 9.0],
     ]
 )
-LEAST_PARTS, MOST_PARTS = 2, 32
 # Collocation steps are at most this long in units of the photoreceptor's 1/ωn.  Halving it moves the log-likelihood of
 # the tests' recordings by less than 1e-3 nats.
 LONGEST_STEP = 1.0
@@ -132,4 +131,5 @@ def needed_parts(frozen) -> int:
         if ramps.any():
             rate = np.sqrt(frozen.circuit.alpha * np.maximum(radiance[1:], radiance[:-1]))
             most = max(most, float((np.diff(recording.t) * rate)[ramps].max()))
-    return int(np.clip(np.ceil(most / LONGEST_STEP), LEAST_PARTS, MOST_PARTS))
+    least_parts, most_parts = 2, 32
+    return int(np.clip(np.ceil(most / LONGEST_STEP), least_parts, most_parts))

@@ -19,11 +19,6 @@ from pixelid.fit.engines.frozen import freeze
 from pixelid.fit.objective import Objective
 from pixelid.parallel import map_threads
 
-RTOL, ATOL = 1e-9, 1e-11
-# Central difference in standard errors: the error of the gradient, of third order, is below 1e-3 per standard error,
-# and what solver tolerances make of the two values 1e-4.
-STEP_SD = 0.1
-
 
 class NumpyOperations:
     """`expression.Operations` on float64 arrays (n,)."""
@@ -84,7 +79,10 @@ def solve_ivp_objective(objective: Objective, x: np.ndarray) -> ContinuousObject
     """
     discrete = discrete_form(objective, x)
     op: Any = NumpyOperations()
-    steps = STEP_SD * scales(discrete.local(x), discrete.coordinates.longest_moves())
+    # Central difference in standard errors: the error of the gradient, of third order, is below 1e-3 per standard
+    # error, and what solver tolerances make of the two values 1e-4.
+    step_sd = 0.1
+    steps = step_sd * scales(discrete.local(x), discrete.coordinates.longest_moves())
 
     def value_at(point):
         x, frozen = point
@@ -119,6 +117,7 @@ def _flow(state, drive, slope, tau, radiance, dynamics):
 
     v, y, s, d = state
     start = np.concatenate([v * unit, y, s, d])
-    end = solve_ivp(rate, (0.0, 1.0), start, method="DOP853", rtol=RTOL, atol=ATOL, t_eval=[1.0]).y[:, -1]
+    rtol, atol = 1e-9, 1e-11
+    end = solve_ivp(rate, (0.0, 1.0), start, method="DOP853", rtol=rtol, atol=atol, t_eval=[1.0]).y[:, -1]
     w, y, s, d = end.reshape(4, n)
     return w / unit, y, s, d

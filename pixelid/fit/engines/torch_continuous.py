@@ -22,7 +22,6 @@ from pixelid.fit.engines.frozen import freeze
 from pixelid.fit.engines.torch_operations import TorchOperations
 from pixelid.fit.objective import Objective
 
-RTOL, ATOL = 1e-8, 1e-10  # of a step's local error, root mean square over the block
 BLOCK = 20_000  # problems integrated together: some 100 MB while they are differentiated
 
 
@@ -84,5 +83,6 @@ def _flow(present: Dynamics, values, v, y, s, d, drive, slope, tau, radiance):
 
     start = torch.stack((v * unit, y, s, d))
     span = torch.tensor([0.0, 1.0], dtype=torch.float64, device=tau.device)
-    end = odeint(rate, start, span, rtol=RTOL, atol=ATOL, method="dopri5")[-1]
+    rtol, atol = 1e-8, 1e-10  # of a step's local error, root mean square over the block
+    end = odeint(rate, start, span, rtol=rtol, atol=atol, method="dopri5")[-1]
     return end[0] / unit, end[1], end[2], end[3]

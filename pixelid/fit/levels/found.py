@@ -11,7 +11,6 @@ from pixelid.fit.levels.covariance import Joint
 from pixelid.fit.levels.pixel_levels import BACKGROUND, GAIN, PixelLevels, Scales, half_normal, places
 from pixelid.fit.levels.scales import Levelled, Told, told_by_events
 
-UNTOLD = 0.75  # of a level's variance that events leave
 CARRIED = 0.9  # of a standard error, below which knowing the mean gain would make a difference
 NOTHING = np.empty(0)
 
@@ -91,8 +90,9 @@ def notes(scales: Scales, camera: Mapping[str, Mapping[str, float]], variance: n
         said.append(text)
     if scales.background is not None:
         said.append("a background common to all pixels is not distinguishable from a dark current: it is their sum")
+    untold = 0.75  # of a level's variance that events leave
     for kind, left in zip(scales.kinds, np.median(variance, axis=0), strict=True):
-        if left > UNTOLD:
+        if left > untold:
             said.append(
                 f"the {kind} of single pixels is hardly identified by their events: little better than its spread"
             )

@@ -34,7 +34,6 @@ from pixelid.likelihood.information import Information, Tangent
 
 STEP = 1e-6  # of a level in its standard deviations, for the slope of changes: as `event_times.STEP`
 WIDER = 10.0  # steps of the Hessian, in those of a difference of gradients
-CURVATURE_STEP = 1e-4  # for the slope of scores, which are exact: as `Objective.difference_steps`
 TOLERANCE = 1e-7  # nats: below what the last steps of θ are judged by
 MOST_STEPS = 40
 ROUGH = 1e-3, 8  # tolerance and most steps over other coordinates, where 1.92 nats are asked about
@@ -174,9 +173,10 @@ class LevelledObjective(EventTimesObjective):
         """
         best, base = self.best(x), self._scores(x, self.best(x).u)
         block, cross = np.empty_like(best.block), np.empty((*best.u.shape, len(x)))
+        curvature_step = 1e-4  # for the slope of scores, which are exact: as `Objective.difference_steps`
         for k in range(best.u.shape[1]):
-            moved = best.u + CURVATURE_STEP * np.eye(best.u.shape[1])[k]
-            block[:, :, k] = (base - self._scores(x, moved)) / CURVATURE_STEP
+            moved = best.u + curvature_step * np.eye(best.u.shape[1])[k]
+            block[:, :, k] = (base - self._scores(x, moved)) / curvature_step
         block = 0.5 * (block + block.transpose(0, 2, 1)) + np.eye(best.u.shape[1])
         bad = ~(np.linalg.eigvalsh(block)[:, 0] > 0.1 * np.linalg.eigvalsh(best.block)[:, 0])
         block[bad] = best.block[bad]

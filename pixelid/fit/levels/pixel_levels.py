@@ -29,7 +29,6 @@ KINDS = (GAIN, BACKGROUND)
 DARK = "dark_current.radiance"
 FAR = 6.0  # standard deviations of a level's prior, beyond which none of 10⁸ pixels lies
 FEWEST = 4  # pixels that can tell a scale: its 95 % interval is a factor of 7 wide then
-MOST_SAMPLES = 40_000_000  # of all pixels' lights: 3 GB with their trajectories
 
 PixelLevelsLike: TypeAlias = "str | Mapping[str, float | None] | Wanted | None"
 
@@ -139,7 +138,8 @@ class Wanted:
         if pixels < FEWEST and set(self.kinds) - set(self.given):
             raise InputError(f"pixel_levels: {pixels} pixels do not identify how far levels spread; give it (gain=0.2)")
         samples = sum(_mean_samples(light) for light in lights) * pixels
-        if samples > MOST_SAMPLES:
+        most_samples = 40_000_000  # of all pixels' lights: 3 GB with their trajectories
+        if samples > most_samples:
             raise InputError(
                 f"pixel_levels: every pixel has light of its own, {pixels} of them {samples:.2g} samples; "
                 "take fewer pixels (--pixels)"

@@ -26,7 +26,6 @@ from pixelid.likelihood.density import sum_by
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
 
-MAX_RMS_MOVE_SD = 0.2  # of the residuals, at the strength at which a direction is taken: small enough to be linear
 # Of the events, that may lose their cause there: they count as not moved, so this much of what an effect would show may
 # be missed.
 MAX_SHARE_LOST = 0.05
@@ -142,9 +141,10 @@ def direction(at: Space, effect: str) -> Direction | None:
 def _largest_small_move(at: Space, strengths: Iterable[Sequence[Model]]) -> tuple[float, np.ndarray, Model] | None:
     """The largest of the moves (`_move`) that are small, of strengths from weak to strong; None where none is."""
     best: tuple[float, np.ndarray, Model] | None = None
+    max_rms_move_sd = 0.2  # of the residuals, at the strength at which a direction is taken: small enough to be linear
     for alike in strengths:
         moves = [moved for moved in (_move(at, trial) for trial in alike) if moved is not None]
-        small = [moved for moved in moves if moved[0] < MAX_RMS_MOVE_SD]
+        small = [moved for moved in moves if moved[0] < max_rms_move_sd]
         if moves and not small:
             break
         best = max((one for one in (best, *small) if one is not None), key=lambda one: one[0], default=None)

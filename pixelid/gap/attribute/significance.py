@@ -11,9 +11,7 @@ from pixelid import stages
 from pixelid.gap.criteria import Criteria
 from pixelid.model.model import Model
 
-ON_BOUNDARY = 0.5  # share of the χ² in the mixture, the rest being 0 (Self & Liang 1987, JASA 82, 605, case 5)
 SMALLEST = 1e-290  # chance that double precision holds: of some 660 nats and more it does not
-TERMS = 8  # of the series for smaller ones, each less than a tenth of that before at 100 degrees of freedom
 WAYS = 2  # values shared by all recordings, or of each one's own
 
 
@@ -48,7 +46,8 @@ def _log_chi2_sf(half: float, degrees: int) -> float:
     if chance > SMALLEST:
         return math.log(chance)
     a = 0.5 * degrees
-    total = 1.0 + sum(math.prod((a - j) / half for j in range(1, k + 1)) for k in range(1, TERMS))
+    terms = 8  # of the series for smaller ones, each less than a tenth of that before at 100 degrees of freedom
+    total = 1.0 + sum(math.prod((a - j) / half for j in range(1, k + 1)) for k in range(1, terms))
     return (a - 1.0) * math.log(half) - half - math.lgamma(a) + math.log(total)
 
 
@@ -57,7 +56,8 @@ def _null(effect: str, tried: int, own: int) -> tuple[float, int]:
     new = stages.effect(effect)
     free = [p for p in new.parameters if p.free]
     degrees = len(free) + (own - len(new.starts_anew) if own else 0)
-    share = ON_BOUNDARY if new.on_boundary else 1.0
+    on_boundary = 0.5  # share of the χ² in the mixture, the rest being 0 (Self & Liang 1987, JASA 82, 605, case 5)
+    share = on_boundary if new.on_boundary else 1.0
     held = [values for name, values in new.tried_with.items() if name not in {p.name for p in free}]
     share *= math.prod(map(len, held))  # tried at each of them
     share *= WAYS if own else 1

@@ -14,7 +14,6 @@ import numpy as np
 from pixelid.recordings.recording import Recording
 
 PARTS, WAITS = (1, 2, 4, 8), 6
-ALIKE = 0.005  # of a wait: what is told of a silence that the pixels keep, and stamps, err by less
 
 
 @dataclass(frozen=True)
@@ -85,9 +84,10 @@ def wait_edges(recording: Recording) -> np.ndarray:
     if len(waits) < WAITS:
         return np.linspace(0.01, 1.0, WAITS - 1)
     edges, waits = np.quantile(waits, np.linspace(0, 1, WAITS + 1)[1:-1]), np.sort(waits)
-    around = [np.searchsorted(waits, edges * (1.0 + side * ALIKE)) for side in (-1, 1)]
+    alike = 0.005  # of a wait: what is told of a silence that the pixels keep, and stamps, err by less
+    around = [np.searchsorted(waits, edges * (1.0 + side * alike)) for side in (-1, 1)]
     crowded = around[1] - around[0] > 0.5 * len(waits) / WAITS
-    return np.where(crowded, edges * (1.0 - 2.0 * ALIKE), edges)
+    return np.where(crowded, edges * (1.0 - 2.0 * alike), edges)
 
 
 def _table(row, cell, rows, cells) -> np.ndarray:

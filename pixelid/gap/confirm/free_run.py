@@ -29,7 +29,6 @@ METRIC = "mean squared difference of event counts, in units of chance (about 1: 
 COPIES = 24  # twins of each pixel, or sensors, behind mean and variance: the latter to 30 % per cell
 GROUPS = 8  # more of them behind the floor
 RESAMPLES = 400  # of pixels, behind the interval: its ends to a tenth of its width
-MIN_VARIANCE = 0.02  # of a pixel's count: cells that hardly vary must not divide by nothing
 
 
 @dataclass(frozen=True)
@@ -115,7 +114,8 @@ def free_run(
     simulated = (work or Work()).map(counts, ((before, seed + 1000), (after, seed + 2000)))
     shared = 0.0 if alike else len(pixels) / fitted
     expected = {name: _expected(table, shared) for name, table in zip(("before", "after"), simulated, strict=True)}
-    variance = np.maximum(expected["after"].variance, MIN_VARIANCE)
+    min_variance = 0.02  # of a pixel's count: cells that hardly vary must not divide by nothing
+    variance = np.maximum(expected["after"].variance, min_variance)
     totals = sum(part.mean.sum(axis=0) for part in expected.values())
     weights = cell_weights(measured, (measured.table.sum(axis=0) + totals) > 0)
 

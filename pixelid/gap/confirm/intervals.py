@@ -14,9 +14,6 @@ from pixelid.fit.uncertainty.small_sample import intervals
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.parameters.parameter import Parameter
 
-# Variance that unknown times add, over that between refits to successive draws of them.  Draws remember each other, so
-# they vary less than independent ones; that the factor is two is a choice.
-IMPUTATION_VARIANCE_FACTOR = 2.0
 # Curvature along a direction, of the largest there is, that rounding of sums over 1e4 to 1e6 events leaves of none.
 FLAT = 1e-12
 ROUNDING = 1e-9  # relative, of a bound that has gone through its coordinate and back
@@ -43,7 +40,10 @@ def interval_95(
         covariance = _inverse_or_open(end.information)
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     drawn = np.array([(scatter or {}).get(name, 0.0) for name in end.coordinates.names])
-    sd = np.sqrt(sd**2 + IMPUTATION_VARIANCE_FACTOR * drawn**2)
+    # Variance that unknown times add, over that between refits to successive draws of them.  Draws remember each
+    # other, so they vary less than independent ones; that the factor is two is a choice.
+    imputation_variance_factor = 2.0
+    sd = np.sqrt(sd**2 + imputation_variance_factor * drawn**2)
     lower, upper = intervals(end.coordinates.names, end.x, sd, likelihood.pixels)
     return {name: in_units(end.coordinates, i, lower[i], upper[i]) for i, name in enumerate(end.coordinates.names)}
 

@@ -17,7 +17,6 @@ EXPONENTS = (-1.0, -0.5, 0.5, 1.0)
 SPEED_EXPONENTS = (0.5, 1.0)
 QUANTILES = (0.1, 0.5, 0.9)  # of a covariate at the events, as scales
 EDGES = (0.25, 0.5, 0.75)  # likewise
-NUDGE_S = 1e-5  # over which the slope of the light is taken
 
 
 def beginnings(values: Mapping[str, np.ndarray], model: Model) -> Iterator[tuple[Described, Model]]:
@@ -55,12 +54,13 @@ def covariates(likelihood: EventTimes) -> dict[str, np.ndarray]:
     """Covariate → its values at the events (n,), or since the events before."""
     before = np.concatenate([iv.previous_s for iv in likelihood.intervals])
     parts = _of_light(likelihood.recordings, [(iv.pixel, iv.previous_s) for iv in likelihood.intervals])
-    later = _of_light(likelihood.recordings, [(iv.pixel, iv.previous_s + NUDGE_S) for iv in likelihood.intervals])
+    nudge_s = 1e-5  # over which the slope of the light is taken
+    later = _of_light(likelihood.recordings, [(iv.pixel, iv.previous_s + nudge_s) for iv in likelihood.intervals])
     return {
         "previous_polarity": np.concatenate([iv.previous_sign for iv in likelihood.intervals]),
         "time_in_recording": before,
         "radiance": np.exp(parts),
-        "speed": np.abs(later - parts) / NUDGE_S,
+        "speed": np.abs(later - parts) / nudge_s,
         SINCE_EVENT: likelihood.time_s - before,
     }
 

@@ -40,9 +40,6 @@ FIT_STEPS, WITHOUT_STEPS = 30, 15
 # these.
 EDGES_TRIED, EDGE_SPANS = 25, (0.25, 0.02)
 NEARLY = 1e-3  # zero, as a share of a dead time: where a fit can move either way
-# Of a rival's gain, that a score must promise for descriptions to be fitted: behind true jitters of 0.3 to 4 times the
-# typical one scores promised 0.05 to 0.17 of what the jitter gained.
-WORTH_A_FIT = 0.5
 
 
 @dataclass(frozen=True)
@@ -182,7 +179,10 @@ def describes_better(
         context: Of the search.
     """
     promises = _promises(evidence, fit, context)
-    if max((one.gain for one in promises.screened), default=0.0) < WORTH_A_FIT * rival.gain:
+    # Of a rival's gain, that a score must promise for descriptions to be fitted: behind true jitters of 0.3 to 4
+    # times the typical one scores promised 0.05 to 0.17 of what the jitter gained.
+    worth_a_fit = 0.5
+    if max((one.gain for one in promises.screened), default=0.0) < worth_a_fit * rival.gain:
         return False
     candidates = _candidates(evidence, promises, elsewhere, context).candidates
     best = max(candidates, key=lambda c: c.worth, default=None)

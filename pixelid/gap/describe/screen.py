@@ -25,8 +25,6 @@ from pixelid.stages.described import Described
 
 STEP = 1e-6  # of a strength, times its usual size: rounding 1e-14 of a change, the change of second order 1e-12
 USUAL = {"dead_time": 1e-3}  # seconds; 1 for shares and Hz, and for a low-pass, which a microsecond does not bend
-MIN_SHARE_UNFITTED = 1e-3  # of a score's variance that must be left beside the fitted parameters
-MAX_STRENGTH = 0.5  # of what may fall as well as rise, to start a fit from: the score is a straight line
 
 
 @dataclass(frozen=True)
@@ -53,6 +51,7 @@ def screened(likelihood: EventTimes, fit: Maximum, beginnings: Iterable[tuple[De
         by_fitted[i] = along(gradient, tangent)
         information.add(i, tangent)
     found = []
+    max_strength = 0.5  # of what may fall as well as rise, to start a fit from: the score is a straight line
     for own, start in beginnings:
         strength = start.parameter(f"{own.name}.strength")
         step = STEP * USUAL.get(own.quantity, 1.0)
@@ -73,7 +72,7 @@ def screened(likelihood: EventTimes, fit: Maximum, beginnings: Iterable[tuple[De
             continue
         at, gain = promise
         if strength.lower < at < strength.upper:
-            limit = MAX_STRENGTH * USUAL.get(own.quantity, 1.0)
+            limit = max_strength * USUAL.get(own.quantity, 1.0)
             begin = float(np.clip(at, -limit, limit)) if strength.lower < 0.0 else at
             found.append(Screened(own, start.set({strength.name: begin}), gain))
     return sorted(found, key=lambda one: -one.gain)
@@ -84,7 +83,8 @@ def _promise(g: float, by_fitted: np.ndarray, information: np.ndarray) -> tuple[
     cross = information[-1, :-1]
     solved = np.linalg.lstsq(information[:-1, :-1], np.column_stack([cross, by_fitted]), rcond=1e-12)[0]
     variance = float(information[-1, -1] - cross @ solved[:, 0])
-    if not variance > MIN_SHARE_UNFITTED * information[-1, -1]:
+    min_share_unfitted = 1e-3  # of a score's variance that must be left beside the fitted parameters
+    if not variance > min_share_unfitted * information[-1, -1]:
         return None
     score = g - float(cross @ solved[:, 1])
     return score / variance, 0.5 * score**2 / variance

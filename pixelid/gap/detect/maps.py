@@ -35,12 +35,7 @@ from pixelid.likelihood.event_times import EventTimes
 
 Scores = dict[tuple[str, str], float]  # (response, label) → score
 
-FLIPS = 1999  # resolves p to 5e-4
-MIN_COLUMN_NORM = 1e-3  # score that one unit of a coordinate can move: what is left of a column below it is rounding
-MIN_UNITS = 8  # to flip the signs of: 2⁻⁷, the least p of fewer, tells nothing at a chance of 1 %
-MAX_RESIDUAL_SD = 8.0  # beyond, residuals count as this: one event must not make a map
 SKEWNESS_OF_SQUARE = np.sqrt(8.0)  # of (e² − 1)/√2, e standard normal
-NEGLIGIBLE_SKEWNESS = 1e-3  # a score of 5 moves by 4e-3
 
 
 @dataclass(frozen=True)
@@ -91,7 +86,8 @@ def map_residuals(
         seed: Of the signs flipped.
     """
     kept = ~residual.background
-    e = np.clip(residual.e, -MAX_RESIDUAL_SD, MAX_RESIDUAL_SD)
+    max_residual_sd = 8.0  # beyond, residuals count as this: one event must not make a map
+    e = np.clip(residual.e, -max_residual_sd, max_residual_sd)
     group, pixel, pixels = likelihood.group, likelihood.pixel, likelihood.pixels  # also those without a scored event
     spread = np.where(kept, (e * e - 1.0 + residual.taken) / np.sqrt(2.0), 0.0)
     last = _last_residual(likelihood, np.where(kept, e, 0.0))
@@ -158,7 +154,9 @@ class _Basis:
         self.pixels, self.own, every = pixels, own, (own, *beside)
         q, r = np.linalg.qr(np.concatenate([response.J for response in every]))
         left = np.abs(np.diag(r))
-        q = q[:, left > max(MIN_COLUMN_NORM, 1e-9 * left.max(initial=0.0))]
+        # Score that one unit of a coordinate can move: what is left of a column below it is rounding
+        min_column_norm = 1e-3
+        q = q[:, left > max(min_column_norm, 1e-9 * left.max(initial=0.0))]
         parts = np.split(q, np.cumsum([len(response.J) for response in every])[:-1])
         self.Q = parts[0]
         self.along = np.zeros((q.shape[1], self.pixels))
@@ -204,10 +202,11 @@ def normal_score(standardised, skewness) -> np.ndarray:
     standardised = np.asarray(standardised, dtype=np.float64)
     skewness = np.broadcast_to(np.asarray(skewness, dtype=np.float64), standardised.shape)
     sign = np.where(skewness < 0.0, -1.0, 1.0)
-    inverse = np.maximum(np.abs(skewness), NEGLIGIBLE_SKEWNESS) ** 2 / 8.0  # of the degrees of freedom
+    negligible_skewness = 1e-3  # a score of 5 moves by 4e-3
+    inverse = np.maximum(np.abs(skewness), negligible_skewness) ** 2 / 8.0  # of the degrees of freedom
     ratio = np.maximum(1.0 + sign * standardised * np.sqrt(2.0 * inverse), 0.0)
     normal = sign * (np.cbrt(ratio) - (1.0 - 2.0 * inverse / 9.0)) / np.sqrt(2.0 * inverse / 9.0)
-    return np.where(np.abs(skewness) < NEGLIGIBLE_SKEWNESS, standardised, normal)
+    return np.where(np.abs(skewness) < negligible_skewness, standardised, normal)
 
 
 def _last_residual(likelihood: EventTimes, e: np.ndarray) -> np.ndarray:
@@ -240,11 +239,13 @@ def flip_signs(sums: np.ndarray, seed: int) -> float | None:
     """p of the largest studentised |Σ over units| of sums (units, cells) under random signs of whole units (pixels, or
     stretches of time); None for too few units."""
     shown = sums[np.abs(sums).sum(axis=1) > 0]
-    if len(shown) < MIN_UNITS:
+    min_units = 8  # to flip the signs of: 2⁻⁷, the least p of fewer, tells nothing at a chance of 1 %
+    if len(shown) < min_units:
         return None
     scale = np.sqrt((shown**2).sum(axis=0))
     scaled = shown / np.where(scale > 0, scale, 1.0)
     observed = np.abs(scaled.sum(axis=0)).max()
-    signs = np.random.default_rng(seed).choice([-1.0, 1.0], (FLIPS, len(shown)))
+    flips = 1999  # resolves p to 5e-4
+    signs = np.random.default_rng(seed).choice([-1.0, 1.0], (flips, len(shown)))
     largest = np.abs(signs @ scaled).max(axis=1)
-    return float((1 + np.sum(largest >= observed - 1e-12)) / (1 + FLIPS))
+    return float((1 + np.sum(largest >= observed - 1e-12)) / (1 + flips))

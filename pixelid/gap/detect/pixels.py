@@ -25,8 +25,6 @@ from pixelid.stages.circuit import Circuit
 BETWEEN_SAMPLES = ("smooth", "linear")  # how the light may run between the stimulus's samples
 SCREEN_EVENTS = 6_000  # of the pixels that a first search looks at: thresholds to 0.1 % in a tenth of a second a fit
 NOISE, DEAD_TIME = "threshold_sigma", "refractory_s"
-FAR_DEAD_TIME = 4.0  # times the shipped one, from which a fit does not find it: the density barely feels it so far out
-MAX_NOISE_FACTOR = 2.0  # of the shipped noise, in a start: pixels of one kind differ by less
 TURNS, AT_REST = 5, 0.05  # at most, and what a turn may still move a fit by: squared, in standard errors
 RANDOM_STARTS = 3  # beside the nominal values, where a base fit leaves events without a cause
 # Only those go on that lead after so many of their 40 steps.  All went on in 32 sessions of
@@ -139,7 +137,8 @@ def at_rest(
 
 def is_noisy(model: Model, shipped: Model) -> bool:
     """Whether the threshold noise of a model, where it is free, is more than pixels of the shipped kind have."""
-    return NOISE in model.free and model.values[NOISE] > MAX_NOISE_FACTOR * shipped.values[NOISE]
+    max_noise_factor = 2.0  # of the shipped noise, in a start: pixels of one kind differ by less
+    return NOISE in model.free and model.values[NOISE] > max_noise_factor * shipped.values[NOISE]
 
 
 def _screened(screening: EventTimes, nominal: Model, shipped: Model, cache: FitCache | None, work: Work) -> Maximum:
@@ -152,9 +151,11 @@ def _screened(screening: EventTimes, nominal: Model, shipped: Model, cache: FitC
     starts = [nominal]
     if is_noisy(nominal, shipped):
         starts.append(nominal.set({NOISE: shipped.values[NOISE]}))
+    # Times the shipped one, from which a fit does not find it: the density barely feels it so far out
+    far_dead_time = 4.0
     if DEAD_TIME in nominal.free:
         longest = longest_dead_time(nominal, screening)
-        if longest > FAR_DEAD_TIME * nominal.values[DEAD_TIME]:
+        if longest > far_dead_time * nominal.values[DEAD_TIME]:
             starts.append(feasible(shipped.set({DEAD_TIME: longest}), screening))
     return max(map_fits(work, _FromAfar(screening, nominal), starts, cache), key=lambda fit: fit.value)
 

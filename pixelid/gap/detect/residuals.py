@@ -31,7 +31,6 @@ from pixelid.likelihood.losses import missed_of
 from pixelid.stages.circuit import Circuit
 
 DRAWS = 0  # seed of what is drawn for events at the end of a silence: the same whenever asked
-NUDGE_S = 1e-6  # one-sided difference of the time: short beside any filter's time constant, long beside rounding
 STEP = 1e-4  # of a coordinate's longest move, one-sided difference: a relative error about as large
 FAR_SD, SHORTER = 0.1, 0.1  # a level that moves by more in one step is asked with a shorter one
 LARGEST = 40.0  # residual: beyond it Φ is 0 in double precision
@@ -104,10 +103,11 @@ def residuals(likelihood: EventTimes, circuit: Circuit, changes: StackedChanges 
 
 def expected_log_rate(likelihood: EventTimes, circuit: Circuit, here: Residuals) -> np.ndarray:
     """(n,) log speed of the change at the time when each event was expected."""
-    earlier = circuit.later_by(NUDGE_S)
+    nudge_s = 1e-6  # one-sided difference of the time: short beside any filter's time constant, long beside rounding
+    earlier = circuit.later_by(nudge_s)
     there = likelihood.terms(earlier, likelihood.changes(earlier, here.changes))
     rate = np.exp(here.log_rate)
-    growing = np.where(here.background | there.background, 0.0, (rate - np.exp(there.log_rate)) / NUDGE_S)
+    growing = np.where(here.background | there.background, 0.0, (rate - np.exp(there.log_rate)) / nudge_s)
     return np.log(np.clip(rate - growing * here.late, 0.01 * rate, 100.0 * rate))
 
 

@@ -9,9 +9,6 @@ import numpy as np
 from pixelid.gap.detect.maps import Cell, Maps
 from pixelid.likelihood.event_times import EventTimes
 
-MENTIONED_BACKGROUND = 1e-3  # fraction of the events: fewer without a cause are not mentioned
-MENTIONED_SHIFT = 0.5  # of the largest score: a shift of the level that reaches it is mentioned, as it says more
-
 
 def where(maps: Maps, likelihood: EventTimes, background: np.ndarray, sigma: float) -> str:
     """The largest disagreement: events without a cause, else the cell of the maps that stands out most.
@@ -19,7 +16,8 @@ def where(maps: Maps, likelihood: EventTimes, background: np.ndarray, sigma: flo
     background: (n,) events without a cause;  sigma: relative threshold noise, the unit of a residual
     """
     parts = []
-    if background.mean() > MENTIONED_BACKGROUND:
+    mentioned_background = 1e-3  # fraction of the events: fewer without a cause are not mentioned
+    if background.mean() > mentioned_background:
         parts.append(_without_cause(likelihood, background))
     telling = _telling(maps)
     if telling is not None:
@@ -32,7 +30,8 @@ def _telling(maps: Maps) -> Cell | None:
     if not maps.cells:
         return None
     top = maps.cells[0]
-    shifts = [c for c in maps.cells if c.response == "level" and abs(c.score) > MENTIONED_SHIFT * abs(top.score)]
+    mentioned_shift = 0.5  # of the largest score: a shift of the level that reaches it is mentioned, as it says more
+    shifts = [c for c in maps.cells if c.response == "level" and abs(c.score) > mentioned_shift * abs(top.score)]
     return shifts[0] if shifts else top
 
 

@@ -15,12 +15,7 @@ from pixelid.gap.imputation.imputed import JITTER, Imputation, draw_again
 from pixelid.gap.imputation.marginal import MAX_LOG_MOVE, MarginalStep, marginal_step
 from pixelid.model.model import Model
 
-FEW_EVENTS = 5_000  # filters to a percent or a few, in half a second a draw
 MOST_ROUNDS, LEAST_ROUNDS = 24, 4  # of draws and steps with few pixels
-ROUNDS_AGAIN = 10  # at most, after the model has gained an effect
-SETTLED_SD = 2.0  # a step is small by, in standard errors of each coordinate: draws alone move it by one
-ROUNDS_WITH_ALL = 2  # averaged
-MAX_LENGTHENING = 5.0  # of a step of EM: four fifths of the information missing
 
 Report = Callable[[str], None]
 
@@ -32,7 +27,8 @@ def follow(whole: Imputation, model: Model, seed: int, report: Report) -> tuple[
 
 def follow_again(whole: Imputation, model: Model, report: Report) -> tuple[Imputation, Model]:
     """The same for a model that has gained an effect."""
-    return _follow(whole, model, ROUNDS_AGAIN, 0, report)
+    rounds_again = 10  # at most, after the model has gained an effect
+    return _follow(whole, model, rounds_again, 0, report)
 
 
 def draw_once_more(whole: Imputation, model: Model) -> Imputation:
@@ -42,20 +38,23 @@ def draw_once_more(whole: Imputation, model: Model) -> Imputation:
 
 def _follow(whole: Imputation, model: Model, rounds: int, seed: int, report: Report) -> tuple[Imputation, Model]:
     model = whole.with_filter_priors(model)
-    part = whole.few(FEW_EVENTS, np.random.default_rng(seed))
+    few_events = 5_000  # filters to a percent or a few, in half a second a draw
+    part = whole.few(few_events, np.random.default_rng(seed))
     small = 0
+    settled_sd = 2.0  # a step is small by, in standard errors of each coordinate: draws alone move it by one
     for turn in range(rounds):
         report("true times")
         before = Coordinates.of(model).start
         part, model, step = _step(part, model)
-        moved = np.abs(step.x - before) <= SETTLED_SD * np.maximum(step.sd, 1e-3)
+        moved = np.abs(step.x - before) <= settled_sd * np.maximum(step.sd, 1e-3)
         small = small + 1 if moved.all() else 0
         if small >= 2 and turn + 1 >= LEAST_ROUNDS:
             break
     if whole.effect == JITTER:
         whole = whole.with_spread(part.sigma_s)
     ends, logs = [], []
-    for _ in range(ROUNDS_WITH_ALL):
+    rounds_with_all = 2  # averaged
+    for _ in range(rounds_with_all):
         report("true times")
         drawn_with = whole.windows
         whole, model, step = _step(whole, model)
@@ -80,7 +79,8 @@ def likeliest_spread(drawn: Imputation, sigma_s: float, error: float) -> float:
     """
     off = np.concatenate([w.centre - t for w, t in zip(drawn.windows, drawn.times, strict=True)])
     growth = 0.5 * np.log(np.mean((1e-9 * off / sigma_s) ** 2))
-    lengthened = float(np.clip(2.0 * len(off) * error**2, 1.0, MAX_LENGTHENING))
+    max_lengthening = 5.0  # of a step of EM: four fifths of the information missing
+    lengthened = float(np.clip(2.0 * len(off) * error**2, 1.0, max_lengthening))
     return sigma_s * float(np.exp(np.clip(lengthened * growth, -MAX_LOG_MOVE, MAX_LOG_MOVE)))
 
 

@@ -25,9 +25,6 @@ from pixelid.likelihood.event_times import NUDGE_S, EventTimes
 from pixelid.model.model import Model
 from pixelid.recordings.recording import Recording
 
-MAX_SLOPE_HZ = 1e4  # level per second by which a release can matter: steeper is rounding
-MIN_INFORMATION_RATIO = 0.3  # of what intervals say of a time to what its stamp says: enough to judge the stamp by
-
 
 @dataclass(frozen=True)
 class Draw:
@@ -53,6 +50,7 @@ def draw_times(
     """
     times = [t.copy() for t in times]
     misses, variances = [], []
+    min_information_ratio = 0.3  # of what intervals say of a time to what its stamp says: enough to judge the stamp by
     for parity in (0, 1):
         here = _conditionals(recordings, windows, times, model)
         moved, bounds = [], []
@@ -64,7 +62,7 @@ def draw_times(
             moved[-1][at] = _cut_normal(t[at], told.precision[at], told.push[at], low[at], high[at], rng)
             if window.stamp is not None:
                 by_intervals = told.precision - 1.0 / window.sd**2
-                known = at[by_intervals[at] * window.sd**2 > MIN_INFORMATION_RATIO]
+                known = at[by_intervals[at] * window.sd**2 > min_information_ratio]
                 push = told.push[known] - (window.stamp - t)[known] / window.sd**2
                 misses.append(window.stamp[known] - t[known] - push / by_intervals[known])
                 variances.append(1.0 / by_intervals[known])
@@ -109,9 +107,10 @@ def _conditionals(
     score = here.log_rate - np.log(here.scale) - 0.5 * (lacks / here.scale) ** 2 - 0.5 * np.log(2.0 * np.pi)
     score = np.where(mute, -np.inf, score)
     score = np.maximum(score, np.log(BACKGROUND_HZ))
+    max_slope_hz = 1e4  # level per second by which a release can matter: steeper is rounding
     slopes = (
         np.where(mute, 0.0, np.exp(here.log_rate)),
-        np.clip((there.z - here.z) / NUDGE_S, -MAX_SLOPE_HZ, MAX_SLOPE_HZ),
+        np.clip((there.z - here.z) / NUDGE_S, -max_slope_hz, max_slope_hz),
     )
     conditionals, first = [], 0
     for recording, window, t, intervals in zip(recordings, windows, times, likelihood.intervals, strict=True):

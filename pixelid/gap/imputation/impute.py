@@ -45,11 +45,8 @@ from pixelid.recordings.recording import Recording
 from pixelid.recordings.selection import few
 
 FINEST_TICK_S = 5e-6  # a finer tick is a width of the event-time density, not a window
-SHORT_SERVICE_TIMES = 20.0  # windows (nine of ten) of the recordings that the first stage begins with
 MIN_EVENTS = 100  # to begin with, and to go on with
-MIN_EVENTS_AT_ONCE = 1000  # of recordings in which few waited, to begin anew with
 ROUNDS = (20, 8, 8)  # of draws and refits in each stage, the last with exact draws
-ROUNDS_AT_ONCE = 12  # with recordings where few waited: hardly anything is drawn
 # After the model has gained or lost an effect; the last ones with exact draws, which hardly leave times that the model
 # does not explain: behind a tick of 20 µs, of 1,846 events that a bandwidth floor had left so 1,471 stayed in 32 sweeps
 # of them, none in eight others.
@@ -140,13 +137,15 @@ def impute_with_effect(
         options: With the seed of first guesses, and the share of events that lost times leave unexplained.
         cache: Fits already made.
     """
+    min_events_at_once = 1000  # of recordings in which few waited, to begin anew with
+    rounds_at_once = 12  # with recordings where few waited: hardly anything is drawn
     if imputation.effect == QUEUE and imputation.windows:
         waited = np.array([float(np.mean(w.hi > w.lo)) if len(w.hi) else 0.0 for w in imputation.windows])
         at_once = waited < MOSTLY_WAITED
         events = sum(len(w.hi) for w, use in zip(imputation.windows, at_once, strict=True) if use)
-        if events >= MIN_EVENTS_AT_ONCE and not at_once.all():
+        if events >= min_events_at_once and not at_once.all():
             model = imputation.with_filter_priors(model)
-            part, model = impute_again(imputation.only(at_once), model, ROUNDS_AT_ONCE, exact=False, cache=cache)
+            part, model = impute_again(imputation.only(at_once), model, rounds_at_once, exact=False, cache=cache)
             imputation = _completed(imputation, part, at_once, model, options.seed)
     imputation, model = impute_changed(imputation, model, cache=cache)
     if imputation.effect == QUEUE and imputation.windows:
@@ -174,7 +173,8 @@ def impute(
     whole = whole.only(kept)
     if _by_paths(whole, signature, model):
         return follow(replace(whole, by_paths=True), model, options.seed, report)[0]
-    brief = reach[kept] <= SHORT_SERVICE_TIMES * unit
+    short_service_times = 20.0  # windows (nine of ten) of the recordings that the first stage begins with
+    brief = reach[kept] <= short_service_times * unit
     whole, model = _begin(whole, brief, whole.with_filter_priors(model), options.seed, report, cache)
     if whole.draws_paths(model):
         whole, model = _settle(whole, model, report, cache, FIRST_CYCLES)

@@ -31,7 +31,6 @@ from pixelid.model.model import Model
 STEP = 1e-4  # of a coordinate's longest move, one-sided difference
 LONGEST = 0.3  # of a coordinate's longest move, in one step
 MAX_LOG_MOVE = 0.5  # of noise and σ, in one step
-FARTHEST_SD = 6.0  # of y: intervals farther off have another cause
 NOISE, MISMATCH = "threshold_sigma", "threshold_mismatch.sigma"
 
 
@@ -98,7 +97,8 @@ def marginal_step(
     x = coordinates.start
     terms, linear = _linearised(likelihood, stamps, coordinates, x)
     d, groups = len(x), likelihood.layout.groups
-    far = np.abs(linear.y) > FARTHEST_SD * np.sqrt(linear.covariance(sigma_s)[0])
+    farthest_sd = 6.0  # of y: intervals farther off have another cause
+    far = np.abs(linear.y) > farthest_sd * np.sqrt(linear.covariance(sigma_s)[0])
     linear = linear.only(~far)
     if len(linear.y) < 2:  # nothing that a step could be taken by
         return MarginalStep(x, sigma_s, np.zeros(d), 0.0, np.zeros(d))

@@ -32,7 +32,6 @@ from pixelid.stimuli.stimulus import Stimulus
 
 REACH = 6.0  # standard deviations of a jitter that a stamp can be off by
 FINEST_CELL_S = 2e-6  # the least step of the fastest edges: level moves by half a noise there
-MOST_CELLS = 2_000_000  # of one recording: 48 MB
 MOST_REMEMBERED = 16_000_000  # cells of all recordings under one model: 0.4 GB
 
 
@@ -185,7 +184,8 @@ class Lights:
 def _light(stimulus: Stimulus, end: float, circuit: Circuit) -> Light:
     """What a circuit makes of the light until `end` s, on cells of at most `FINEST_CELL_S`."""
     span = end - stimulus.start_s
-    step = max(FINEST_CELL_S, span / MOST_CELLS)
+    most_cells = 2_000_000  # of one recording: 48 MB
+    step = max(FINEST_CELL_S, span / most_cells)
     times = stimulus.start_s + step * np.arange(int(span / step) + 2)
     trajectory, _, drive = Trajectories([stimulus], end).of(circuit, keep=False)
     on_light = times - circuit.delay

@@ -18,9 +18,7 @@ from pixelid.recordings.recording import Recording
 from pixelid.simulate import simulate_row
 from pixelid.stimuli.pixel_lights import in_a_row
 
-CROWD_PIXELS = 400  # simulated, behind an expected number of events: it is known to a twentieth of an event
 DELAY = "delay_s"  # of the stamps, which is also that of the clock of events against the light
-SPACING = 1.1  # times the dead time that first guesses are apart: just feasible
 
 
 @dataclass(frozen=True)
@@ -112,9 +110,10 @@ def guess_by_rank(
     it began, so it came about when the expected number of events since then was k.
     """
     guesses = []
+    crowd_pixels = 400  # simulated, behind an expected number of events: it is known to a twentieth of an event
     for i, (recording, window) in enumerate(zip(recordings, windows, strict=True)):
         assert recording.stimulus is not None
-        copies = max(1, round(CROWD_PIXELS / len(pixels)))
+        copies = max(1, round(crowd_pixels / len(pixels)))
         here = model.in_recording(recording.name)
         seen = light_on_clock(recording, recording.stimulus, here.circuit())
         light = in_a_row(seen, np.tile(pixels, copies))
@@ -133,7 +132,8 @@ def guess_by_rank(
 
 def guess_spaced(recordings: Sequence[Recording], windows: Sequence[Windows], dead_s: float) -> list[np.ndarray]:
     """The times (n,) ns nearest to the stamps, by squares, with a pixel's events a dead time apart at least."""
-    gap, guesses = SPACING * 1e9 * dead_s, []
+    spacing = 1.1  # times the dead time that first guesses are apart: just feasible
+    gap, guesses = spacing * 1e9 * dead_s, []
     for recording, window in zip(recordings, windows, strict=True):
         assert window.stamp is not None
         t = window.stamp

@@ -4,12 +4,12 @@ Times behind a jitter or a coarse tick follow the model that they are drawn from
 limit of the slew forbids them outright: no limit is worth a fit beside them, and many events are left without a cause.
 A pole more hides behind slower ones that the model has: between them lies a valley, in which times drawn follow
 neither.  So both are looked for on the stamps, with all times summed over that they can stand for
-(`imputation/stamps.py`): the model is followed to times of its own, and what it gains is asked of the stamps again.
+(`imputation/lattice.py`): the model is followed to times of its own, and what it gains is asked of the stamps again.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -19,17 +19,43 @@ from pixelid.gap.attribute.candidates import SLEW, canonical, missing, remove_ef
 from pixelid.gap.attribute.significance import chance_of_gain
 from pixelid.gap.imputation.impute import FAST, impute_with_effect, with_nominal_fast_poles
 from pixelid.gap.imputation.imputed import Imputation
-from pixelid.gap.imputation.paths import is_summed_whole
-from pixelid.gap.imputation.stamps import Stamps
+from pixelid.gap.imputation.paths import Lights, draw_paths, is_summed_whole
 from pixelid.gap.options import Context, Options
 from pixelid.gap.phases import Phase
 from pixelid.gap.rounds import attribution_entry
 from pixelid.gap.state import State
 from pixelid.gap.steps.name_effect import at_times_anew, is_astray, with_accepted
 from pixelid.model.model import Model
+from pixelid.stages.circuit import Circuit
+
+
+@dataclass(frozen=True)
+class Stamps:
+    """The stamps of some recordings as evidence: each pixel's chain of events is summed over its windows.
+
+    imputation: Their windows, and the times drawn last: these tell each pixel's thresholds and the order of its stamps.
+    lights: What circuits made of the light before.
+    """
+
+    imputation: Imputation
+    lights: Lights = field(default_factory=Lights)
+
+    @property
+    def events(self) -> int:
+        """Number of stamps."""
+        return sum(len(r.events) for r in self.imputation.fine)
+
+    def per_pixel(self, circuit: Circuit) -> np.ndarray:
+        """(pixels,) nats, in order of the pixels."""
+        imputation, rng = self.imputation, np.random.default_rng(0)  # of times that are not used
+        return draw_paths(imputation.fine, imputation.windows, imputation.times, circuit, rng, self.lights).per_pixel
+
+    def log_likelihood(self, circuit: Circuit) -> float:
+        """Nats."""
+        return float(self.per_pixel(circuit).sum())
+
 
 POLE = "extra_pole"
-LEAST_SPLIT = 0.1  # of the lateness of the poles, that a pole more must take: less is how cameras differ
 EVENTS = 1_500  # of the pixels that limits are tried on: some forty of them, half a second each
 
 
@@ -58,7 +84,8 @@ def split_pole(model: Model, nominal: Model) -> Model | None:
     """
     shipped = with_nominal_fast_poles(model, nominal)
     late, usual = (sum(1.0 / each.values[name] for name in FAST) for each in (model, shipped))
-    if late - usual < LEAST_SPLIT * late:
+    least_split = 0.1  # of the lateness of the poles, that a pole more must take: less is how cameras differ
+    if late - usual < least_split * late:
         return None
     return shipped.with_effect(POLE, {"cutoff_hz": 1.0 / (late - usual)})
 

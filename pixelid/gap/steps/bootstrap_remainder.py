@@ -22,10 +22,6 @@ from pixelid.gap.state import State
 from pixelid.likelihood.event_times import EventTimes
 
 REPLICATES = 4
-SEED_OFFSET = 9001  # of the simulated sessions: none of other replicates' (31 apart) or twins' (101 apart)
-# Standard errors from zero that a cell's mean score over the replicates must be: of a thousand cells one in sixteen is
-# so by chance, and taking it out costs the measurement little more than a score of 2.
-CLEAR = 4.0
 
 
 def bootstrap_remainder(state: State, context: Context) -> State:
@@ -40,8 +36,12 @@ def bootstrap_remainder(state: State, context: Context) -> State:
         return state
     context.report("sessions simulated from the model", 0.68)
     one = _OneBootstrap(training, fit, seen, options.criteria)
-    seeds = [options.seed + SEED_OFFSET + 31 * turn for turn in range(REPLICATES)]
-    cells, p = subtract_replicates(seen, map_fits(context.work, one, seeds, context.cache), CLEAR)
+    seed_offset = 9001  # of the simulated sessions: none of other replicates' (31 apart) or twins' (101 apart)
+    seeds = [options.seed + seed_offset + 31 * turn for turn in range(REPLICATES)]
+    # Standard errors from zero that a cell's mean score over the replicates must be: of a thousand cells one in
+    # sixteen is so by chance, and taking it out costs the measurement little more than a score of 2.
+    clear = 4.0
+    cells, p = subtract_replicates(seen, map_fits(context.work, one, seeds, context.cache), clear)
     told = entry(len(state.rounds) + 1, seen.p, bootstrap={"replicates": REPLICATES, "p_of_what_is_left": p})
     state = replace(state, rounds=(*state.rounds, told))
     if p < options.alpha_each:

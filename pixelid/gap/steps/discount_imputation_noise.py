@@ -21,8 +21,6 @@ from pixelid.gap.state import Hypothesis, State
 from pixelid.gap.steps.impute_hypothesis import Setting, at_imputed_times
 from pixelid.recordings.recording import Recording
 
-SEED_OFFSET = 5003  # of the simulated session's seed: none of the replicates' (31 apart) or twins' (101 apart)
-
 
 def discount_imputation_noise(state: State, context: Context) -> State:
     """Take from what is left what a session simulated from the model shows as well, imputed in the same way.
@@ -42,7 +40,8 @@ def discount_imputation_noise(state: State, context: Context) -> State:
     if not state.remainder(alpha):
         return state.then(Phase.WITHDRAW)
     hypothesis, seen = state.hypothesis, state.hypothesis.seen
-    seed, pixels = context.options.seed + SEED_OFFSET, state.split.everyone
+    seed_offset = 5003  # of the simulated session's seed: none of the replicates' (31 apart) or twins' (101 apart)
+    seed, pixels = context.options.seed + seed_offset, state.split.everyone
     made = simulate_again(looked_at, hypothesis.model, pixels, hypothesis.evidence.between, seed)
     shown = _imputed_alike(made, split_pixels(made, context.options.seed), state, context)[1].seen.maps
     cells, p = subtract_replicates(seen, [shown.scores])

@@ -17,8 +17,6 @@ from pixelid.gap.split import Split
 from pixelid.gap.state import Hypothesis
 from pixelid.model.model import Model
 
-DRAWS_JUDGED, ROUNDS_BETWEEN = 3, 8  # what is missing shows in each of three; eight rounds apart they are independent
-
 
 @dataclass(frozen=True)
 class Setting:
@@ -48,13 +46,15 @@ def at_imputed_times(
     """
     scatter = imputation.scatter
     judged = []
-    for turn in range(DRAWS_JUDGED):
+    # What is missing shows in each of three; eight rounds apart they are independent
+    draws_judged, rounds_between = 3, 8
+    for turn in range(draws_judged):
         if turn and imputation.draws_paths(model):
             if judged[-1].seen.p >= context.options.alpha_each:
                 break  # another draw can only show less
             imputation = draw_once_more(imputation, model)
         elif turn:
-            imputation, model = impute_again(imputation, model, ROUNDS_BETWEEN, cache=context.cache)
+            imputation, model = impute_again(imputation, model, rounds_between, cache=context.cache)
         judged.append(_at_these(imputation, model, setting, scatter, context))
     return imputation, max(judged, key=lambda hypothesis: hypothesis.seen.p)
 

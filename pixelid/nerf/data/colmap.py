@@ -29,7 +29,6 @@ MODELS = {  # by COLMAP's number: name, parameters
 }  # fmt: skip
 PLACES = (".", "sparse/0", "sparse", "colmap/sparse/0", "dense/sparse")
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
-POINT_BYTES = 24  # of what an image saw
 MOST_BYTES, MOST_NAME = 1 << 30, 200
 
 
@@ -125,11 +124,12 @@ def _poses(content: bytes, binary: bool) -> Iterator[tuple[int, list[float], lis
             yield _pose([float(number) for number in numbers], int(camera), name.strip())
         return
     (count,), at = struct.unpack_from("<Q", content), 8
+    point_bytes = 24  # of what an image saw
     for _ in range(count):
         _, *values, camera = struct.unpack_from("<i7di", content, at)
         end = content.index(b"\0", at + 64)
         name = content[at + 64 : end].decode()
-        at = end + 9 + POINT_BYTES * struct.unpack_from("<Q", content, end + 1)[0]
+        at = end + 9 + point_bytes * struct.unpack_from("<Q", content, end + 1)[0]
         yield _pose(values, camera, name)
 
 

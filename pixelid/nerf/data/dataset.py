@@ -28,8 +28,6 @@ from pixelid.recordings.source import options_for
 BLOCK = 1 << 22  # events looked at together, where a copy of all would be in the way
 MOST_NS = 1 << 62  # 146 years: sums and differences of times still fit 64 bits
 MOST_AWAY = 1e9  # of the scene's unit: rays are single precision, which is a hundred units there
-SLACK = 1000  # ns by which rounded clocks may disagree
-MOST_POSES_PER_EVENTS = 500  # how much longer poses may be: a thousand times is another unit
 EVENTS, POSES = "raw_events.npz", "camera_poses.npz"
 FILES = (EVENTS, POSES, CALIBRATION, RENDERER)
 
@@ -76,12 +74,14 @@ def read_dataset(path: Path) -> Dataset:
     zero = trajectory.zero_ns
     t, x, y, on = _events(path / EVENTS, calibration)
     begin, end = zero, round(trajectory.t[-1] * 1e9) + zero
-    if t[0] < begin - SLACK or t[-1] > end + SLACK:
+    slack = 1000  # ns by which rounded clocks may disagree
+    if t[0] < begin - slack or t[-1] > end + slack:
         raise InputError(
             f"{path / POSES}: T_wc_timestamp: poses cover {begin} … {end} ns, but timestamp of {EVENTS} runs "
             f"{t[0]} … {t[-1]} ns; leave out the events outside, or {_way(path / POSES)}"
         )
-    if (t[-1] - t[0]) * MOST_POSES_PER_EVENTS < end - begin:
+    most_poses_per_events = 500  # how much longer poses may be: a thousand times is another unit
+    if (t[-1] - t[0]) * most_poses_per_events < end - begin:
         raise InputError(
             f"{path / EVENTS}: timestamp: events cover {t[0]} … {t[-1]}, poses {begin} … {end} ns: expected ns, found "
             f"what looks like µs: {_way(path / EVENTS)}; if it is ns, cut the poses to the events"

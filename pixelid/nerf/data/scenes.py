@@ -20,8 +20,6 @@ BACKGROUND = 0.4
 FIELD_OF_VIEW = 0.6911  # rad, as of the published synthetic scenes
 DISTANCE = 4.0  # of the cameras from the centre
 EXTENT = 1.3  # the objects are inside this radius
-OBJECTS = 7
-PER_TURN = 720  # poses of a spiral
 ELEVATIONS = (0.0, 0.9)  # rad, of random views
 
 
@@ -61,7 +59,8 @@ def procedural(seed: int) -> Scene:
     rng = np.random.default_rng(seed)
     items = [_slab(rng)]
     placed: list[tuple[np.ndarray, float]] = []
-    while len(placed) < OBJECTS:
+    objects = 7
+    while len(placed) < objects:
         size = rng.uniform(0.26, 0.46)
         centre = np.array([*rng.uniform(-0.85, 0.85, 2), rng.uniform(-0.5, 0.65)])
         apart = all(np.linalg.norm(centre - other) > 0.8 * (size + radius) for other, radius in placed)
@@ -122,7 +121,8 @@ def spiral(duration_s: float, revolutions: float, low: float = -0.1, high: float
     Returns:
         The flight.
     """
-    n = round(revolutions * PER_TURN) + 1
+    per_turn = 720  # poses of a spiral
+    n = round(revolutions * per_turn) + 1
     share = np.linspace(0.0, 1.0, n)
     position = on_sphere(2 * np.pi * revolutions * share, low + (high - low) * share)
     quaternions = Rotation.from_matrix(looking_at_centre(position)).as_quat()

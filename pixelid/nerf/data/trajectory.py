@@ -15,7 +15,6 @@ from scipy.spatial.transform import Rotation, RotationSpline
 from pixelid.parallel import map_threads, ranges
 
 FINER = 16  # poses per pose of a splined trajectory: a straight line between them leaves 1/256 of what it left before
-WORTH_THREADS = 1 << 14  # rays, some 1.5 ms of one thread: starting others takes 0.4
 
 
 @dataclass(frozen=True)
@@ -66,7 +65,8 @@ class Trajectory:
                 times[some], directions[some], self.t, self.position, self.orientation, origins[some], out[some]
             )  # fmt: skip
 
-        number = threads if len(times) >= WORTH_THREADS else 1
+        worth_threads = 1 << 14  # rays, some 1.5 ms of one thread: starting others takes 0.4
+        number = threads if len(times) >= worth_threads else 1
         map_threads(part, ranges(len(times), number), threads=number)
         return origins, out
 

@@ -14,8 +14,6 @@ from pixelid.nerf.pixel.model import Pixel
 from pixelid.nerf.training.predict import draw, predict
 from pixelid.nerf.training.state import Problem, State
 
-SCREENED = 512  # chains that suggest strengths
-
 
 @dataclass(frozen=True)
 class Suggested:
@@ -55,7 +53,8 @@ def suggestions(problem: Problem, state: State) -> Suggested:
     with torch.no_grad():
         pixel.departures.copy_(state.pixel.departures)
     probe = replace(state, pixel=pixel)
-    batch = draw(problem, probe, problem.training, SCREENED, np.random.default_rng(7))
+    screened = 512  # chains that suggest strengths
+    batch = draw(problem, probe, problem.training, screened, np.random.default_rng(7))
 
     def change() -> np.ndarray:
         with torch.no_grad():

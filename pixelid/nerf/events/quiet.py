@@ -23,7 +23,6 @@ import numpy as np
 from pixelid.inspection.hot_pixels import median_around
 
 LONG = 8.0  # of the shortest quiet interval: the image then moves by four pixels; what is shorter, chains see enough of
-FIRING = 4  # events of the median neighbour: a working pixel would be silent beside it one time in fifty
 EVENTS_AT_ONCE = 4_000_000  # of which intervals are made at a time: bounds memory, changes nothing
 LAGS = 2.0  # time constants of the slowest pole before an event, in which the light may have moved already
 
@@ -68,7 +67,8 @@ def quiet_intervals(
     pixels = width * height
     counts = np.bincount(pixel, minlength=pixels)
     beside = median_around(counts.reshape(height, width), kept, side=3, centre=False)
-    asked = (counts > 0) | (beside < FIRING)
+    firing = 4  # events of the median neighbour: a working pixel would be silent beside it one time in fifty
+    asked = (counts > 0) | (beside < firing)
     if kept is not None:
         asked &= kept
     asked[np.asarray(left_out, np.int64)] = False

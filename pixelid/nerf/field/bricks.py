@@ -17,7 +17,6 @@ from numba import njit
 from scipy.ndimage import maximum_filter
 
 SIDE, ROWS = 4, 64  # vertices per side of a brick, and in it
-MOST_VERTICES = 1025  # per side, of fields that are read: twice those that a reconstruction has by itself
 CLEAR_DENSITY = -30.0  # log density where no brick is
 
 
@@ -49,7 +48,8 @@ class Bricks:
             ValueError: it is none of so many vertices, or its bricks are not numbered in their order.
         """
         number = -(-vertices // SIDE)
-        if not 2 <= vertices <= MOST_VERTICES or index.dtype.kind not in "iu" or index.shape != (number,) * 3:
+        most_vertices = 1025  # per side, of fields that are read: twice those that a reconstruction has by itself
+        if not 2 <= vertices <= most_vertices or index.dtype.kind not in "iu" or index.shape != (number,) * 3:
             raise ValueError(f"bricks {index.shape} of {vertices} vertices")
         bricks = Bricks.where(vertices, index > 0)
         if not np.array_equal(bricks.index, index):

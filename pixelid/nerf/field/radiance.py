@@ -21,7 +21,6 @@ from pixelid.nerf.field.render import Box, Rays, read_off, render
 
 EMPTY = 0.02  # opacity of one step below which a block is skipped
 WHOLE = 161  # vertices per side up to which no brick is given up: 90 MB where there is one colour
-GROWN = 0.01  # opacity of one step that a brick begins with where a scene grows into it: not clear, hardly seen
 
 
 class Field(torch.nn.Module):
@@ -170,7 +169,8 @@ class Field(torch.nn.Module):
         new = torch.as_tensor(rows < 0, device=self.grid.device)
         grid, coefficients = self.grid.detach()[kept], self.coefficients.detach()[kept]
         radiance = self._colour_beside(there & ~was)
-        uniform = np.column_stack([np.full(len(radiance), math.log(GROWN / self.step)), radiance])
+        grown = 0.01  # opacity of one step that a brick begins with where a scene grows into it: not clear, hardly seen
+        uniform = np.column_stack([np.full(len(radiance), math.log(grown / self.step)), radiance])
         uniform = torch.as_tensor(uniform, dtype=grid.dtype, device=grid.device)
         grid[new] = uniform.repeat_interleave(ROWS, dim=0)
         coefficients[new] = 0.0

@@ -52,8 +52,6 @@ def threads() -> int:
 
 
 POINTS_AT_ONCE = 1 << 17  # that a field is read off at: bounds memory, changes no more than rounding
-SAMPLES_AT_ONCE = 1 << 24  # of which occupied ones are looked for at a time: bounds memory, changes nothing
-KEPT_PER_RAY = 24  # room for samples to begin with, by some fields more and by most less than what is met
 
 
 def by_tensors(engine: str, device: torch.device) -> bool:
@@ -73,10 +71,12 @@ class _Compiled(torch.autograd.Function):
         vertices, index = box.bricks.vertices, box.bricks.index
         kernels.filled_cells(densities, vertices, index, box.step, box.occupied, filled, away)
 
+        kept_per_ray = 24  # room for samples to begin with, by some fields more and by most less than what is met
+
         def part(some: slice) -> tuple[np.ndarray, ...]:
             number = some.stop - some.start
             first = np.empty(number + 1 if keep else 0, np.int64)
-            room = KEPT_PER_RAY * number if keep else 0
+            room = kept_per_ray * number if keep else 0
             samples, depths, colours = (np.empty(room, kind) for kind in (np.int32, np.float32, np.float32))
             kept = kernels.forward(
                 *(column[some] for column in rays), densities, looks, vertices, index, filled, away, box.low, box.high,
@@ -193,7 +193,8 @@ def _samples(o, d, offset, low, high, box: Box) -> tuple[torch.Tensor, torch.Ten
     most = max(int(torch.ceil(((far - near) * hit).nan_to_num().max() / box.step).item()), 1) + 1
     steps = torch.arange(most, device=o.device)
     found = []
-    for some in torch.arange(len(o), device=o.device).split(max(SAMPLES_AT_ONCE // most, 1)):
+    samples_at_once = 1 << 24  # of which occupied ones are looked for at a time: bounds memory, changes nothing
+    for some in torch.arange(len(o), device=o.device).split(max(samples_at_once // most, 1)):
         t = near[some, None] + (offset[some, None] + steps) * box.step
         ray, sample = torch.nonzero((t < far[some, None]) & hit[some, None], as_tuple=True)
         ray, t = some[ray], t[ray, sample]

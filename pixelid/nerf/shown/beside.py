@@ -18,7 +18,6 @@ from pixelid.nerf.shown.saved import SavedReconstruction
 from pixelid.provenance import input_hashes
 
 REFERENCE, THIS, OTHER = "slider_reference", "slider_reconstruction", "slider_beside"  # names of the pictures
-LEAST_SIDE = 384  # screen pixels of a picture's longer side; smaller views are enlarged by whole factors
 
 
 @dataclass(frozen=True)
@@ -89,7 +88,8 @@ def _save(path: Path, image: np.ndarray, peak: float) -> None:
     """An image (H, W, C) as a picture of 8 bits."""
     from skimage.io import imsave
 
-    factor = max(-(-LEAST_SIDE // max(image.shape[:2])), 1)
+    least_side = 384  # screen pixels of a picture's longer side; smaller views are enlarged by whole factors
+    factor = max(-(-least_side // max(image.shape[:2])), 1)
     levels = np.round(255.0 * np.nan_to_num(np.clip(image / peak, 0.0, 1.0))).astype(np.uint8)
     levels = levels.repeat(factor, axis=0).repeat(factor, axis=1)
     imsave(path, levels if levels.shape[-1] == 3 else levels[..., 0], check_contrast=False)

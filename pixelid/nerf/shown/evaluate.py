@@ -16,8 +16,6 @@ from pixelid.nerf.field.radiance import Field
 from pixelid.nerf.field.render import Rays
 from pixelid.nerf.shown.correction import Correction, fit_correction, fit_shared_correction
 
-RAYS_AT_ONCE = 1 << 16
-
 
 @dataclass(frozen=True)
 class Scores:
@@ -95,8 +93,9 @@ def render_views(field: Field, views: Views, dark, *, supersample: int = 1) -> n
 def _in_parts(field: Field, rays: Rays) -> np.ndarray:
     """(n,) radiance of rays, so many at a time that their samples find room on a device."""
     shown = []
-    for first in range(0, len(rays.origins), RAYS_AT_ONCE):
-        part = slice(first, first + RAYS_AT_ONCE)
+    rays_at_once = 1 << 16
+    for first in range(0, len(rays.origins), rays_at_once):
+        part = slice(first, first + rays_at_once)
         some = Rays(rays.origins[part], rays.directions[part], rays.channels[part], rays.offsets[part])
         shown.append(field(some)[0].cpu().numpy())
     return np.concatenate(shown)

@@ -9,7 +9,6 @@ import numpy as np
 from pixelid.nerf.shown.solid import Mesh
 from pixelid.nerf.shown.splats import Splats
 
-BAND_0 = 0.28209479177387814  # the constant spherical harmonic, 1 / (2 √π): splats hold colour − 0.5 in units of it
 # For theirs, in their order, the indices of ours (`harmonics`) and the signs.  Viewers expect three degrees or none.
 ORDER, SIGNS = (1, 2, 0, 3, 4, 6, 5, 7), (-1, 1, -1, 1, -1, 1, -1, 1)
 THREE_DEGREES = 15
@@ -40,11 +39,12 @@ def write_splats(path: Path, splats: Splats, colours: np.ndarray) -> None:
     rows = np.zeros(len(splats.centre), [(name, "<f4") for name in names])
     for k, name in enumerate(("x", "y", "z")):
         rows[name] = splats.centre[:, k]
+    band_0 = 0.28209479177387814  # the constant spherical harmonic, 1 / (2 √π): splats hold colour − 0.5 in units of it
     for c in range(3):
-        rows[f"f_dc_{c}"] = (colours[:, c, 0] - 0.5) / BAND_0
+        rows[f"f_dc_{c}"] = (colours[:, c, 0] - 0.5) / band_0
         rows[f"scale_{c}"] = np.log(splats.deviation[:, c])
         for k in range(number):
-            rows[f"f_rest_{c * THREE_DEGREES + k}"] = SIGNS[k] * colours[:, c, 1 + ORDER[k]] / BAND_0
+            rows[f"f_rest_{c * THREE_DEGREES + k}"] = SIGNS[k] * colours[:, c, 1 + ORDER[k]] / band_0
     rows["opacity"] = np.log(splats.opacity / (1 - splats.opacity))
     rows["rot_0"] = 1.0
     _write(path, _element("vertex", rows), rows.tobytes())

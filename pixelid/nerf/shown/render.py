@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from pixelid.nerf.options import RenderOptions
 from pixelid.nerf.shown import ply, video
 from pixelid.nerf.shown.correction import Correction
 from pixelid.nerf.shown.errors import FULL_SCALE, pictures_of
@@ -25,19 +26,7 @@ from pixelid.status import Status
 
 VIDEO, DEPTH_VIDEO = "video.mp4", "depth.mp4"
 MESH, SPLATS = "mesh.ply", "splats.ply"
-MUCH_WHITE = 0.01  # share of the pixels beyond white from which on it is said
 BRIGHTEST = 0.995  # quantile of the first frames that becomes white where no views say what white is
-
-
-@dataclass(frozen=True)
-class Wanted:
-    """What is made in addition to the frames."""
-
-    video: bool = False
-    depth: bool = False
-    mesh: bool = False
-    splats: bool = False
-    frames_per_second: int = 30
 
 
 @dataclass(frozen=True, repr=False)
@@ -80,9 +69,8 @@ def render(
     saved: SavedReconstruction,
     way: Way,
     folder: Path,
-    wanted: Wanted,
+    asked: RenderOptions,
     *,
-    supersample: int = 1,
     seed: int = 0,
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> Rendered:
@@ -93,8 +81,7 @@ def render(
         saved: the reconstruction.
         way: the cameras.
         folder: an existing one, which is filled.
-        wanted: what in addition to the frames.
-        supersample: rays per pixel and side.
+        asked: what is made of it, and how finely; `way` has where from.
         seed: recorded; nothing here is random.
         progress: called with what is done and the fraction.
 
@@ -113,24 +100,25 @@ def render(
         notes.append(f"the reconstruction ended as {saved.status}: {saved.advice or saved.status.advice}")
     if way.left_out:
         notes.append(f"{way.left_out} of {len(way) + way.left_out} poses are left out, evenly; --frames takes more")
-    mesh = mesh_of(saved.field) if wanted.mesh else None  # before the frames: scenes without are refused at once
-    splats = splats_of(saved.field) if wanted.splats else None
+    mesh = mesh_of(saved.field) if asked.mesh else None  # before the frames: scenes without are refused at once
+    splats = splats_of(saved.field) if asked.splats else None
     made = make_frames(
-        saved.field, way, folder, tone, dark, depth=wanted.depth, pictures=pictures, supersample=supersample,
+        saved.field, way, folder, tone, dark, depth=asked.depth, pictures=pictures, supersample=asked.supersample,
         progress=lambda share: progress("frames", 0.8 * share),
     )  # fmt: skip
     files = {f"{FRAMES}/": f"{made.frames} PNG pictures"}
-    if (white := made.white / made.frames) > MUCH_WHITE:
+    much_white = 0.01  # share of the pixels beyond white from which on it is said
+    if (white := made.white / made.frames) > much_white:
         notes.append(f"{white:.1%} of the pixels are brighter than white of the views, and shown as white")
-    if wanted.depth:
+    if asked.depth:
         files[f"{DEPTH}/"] = f"{made.frames} arrays of distances (NaN: nothing there), and pictures of them"
     if pictures is not None:
         scale = f"black for none, brightest from {pictures.full_scale:.3g} of the views' unit on, {FULL_SCALE} of white"
         files[f"{ERRORS}/"] = f"{len(made.rows)} arrays, frame less picture, and pictures of their size: {scale}"
     if made.unread:
         notes.append(f"{len(made.unread)} of {made.frames} frames have no error map; the first: {made.unread[0]}")
-    if wanted.video:
-        files |= _write_videos(folder, way, wanted, notes)
+    if asked.video:
+        files |= _write_videos(folder, way, asked, notes)
     if mesh is not None:
         ply.write_mesh(folder / MESH, mesh, eight_bits(tone(mesh.radiance[None] + dark))[0])
         files[MESH] = f"{len(mesh.faces)} triangles, coloured"
@@ -185,15 +173,15 @@ def tone_of(
     return lambda radiance: (np.maximum(radiance, 0) / white) ** (1 / 2.2), [note]
 
 
-def _write_videos(folder: Path, way: Way, wanted: Wanted, notes: list[str]) -> dict[str, str]:
+def _write_videos(folder: Path, way: Way, asked: RenderOptions, notes: list[str]) -> dict[str, str]:
     """Of the pictures that are in the folder."""
     if not video.can_write():
         notes.append('no video: pip install "pixelid[video]" brings PyAV; the frames are there as PNG')
         return {}
-    rate = wanted.frames_per_second
+    rate = asked.fps
     video.write_video(folder / VIDEO, read_back(folder / FRAMES, way.names), rate)
     files = {VIDEO: f"{len(way) / rate:.1f} s at {rate} frames a second"}
-    if wanted.depth:
+    if asked.depth:
         video.write_video(folder / DEPTH_VIDEO, read_back(folder / DEPTH, way.names), rate)
         files[DEPTH_VIDEO] = "the same of the depths"
     return files

@@ -15,7 +15,6 @@ from pixelid.nerf.field.radiance import Field
 from pixelid.nerf.field.render import read_off
 from pixelid.nerf.shown.evaluate import render_views
 
-SURFACE = 0.5  # opacity of one cell at which a surface is drawn
 SEEN = 0.5  # opacity of a ray below which it has no depth
 
 
@@ -80,7 +79,8 @@ def mesh_of(field: Field) -> Mesh:
     from skimage.measure import marching_cubes
 
     density, log_radiance = vertex_values(field)
-    level = math.log(-math.log1p(-SURFACE) / field.step)
+    surface = 0.5  # opacity of one cell at which a surface is drawn
+    level = math.log(-math.log1p(-surface) / field.step)
     if not density.max() > level:
         raise InputError("the scene has no surface: nothing in it is opaque")
     padded = np.pad(density, 1, constant_values=min(float(density.min()), level - 1))

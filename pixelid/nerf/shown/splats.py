@@ -24,7 +24,6 @@ from pixelid.nerf.field.radiance import EMPTY, Field
 from pixelid.nerf.shown.solid import vertex_values
 
 HIDDEN = 0.95  # opacity of all six neighbours beyond which nobody sees a vertex
-MOST_OPACITY = 0.999  # its logit is what viewers read
 NODES = 6, 12  # of the quadrature over the sphere: heights, angles; exact for products up to degree 11
 
 
@@ -82,9 +81,10 @@ def splats_of(field: Field) -> Splats:
     at, rows = tuple(index.T), field.bricks.rows_of(torch.from_numpy(index)).to(field.grid.device)
     coefficients = field.coefficients.detach()[rows]
     sides = np.diagonal(field.cells(index), axis1=1, axis2=2)
+    most_opacity = 0.999  # its logit is what viewers read
     return Splats(
         field.places(index), log_radiance[at], coefficients.cpu().numpy(),
-        np.minimum(opacity[at], MOST_OPACITY), sides / math.sqrt(2 * math.pi),
+        np.minimum(opacity[at], most_opacity), sides / math.sqrt(2 * math.pi),
     )  # fmt: skip
 
 

@@ -31,7 +31,6 @@ from pixelid.nerf.data.views import (
 
 DEFAULT_SIZE = 400, 400
 ORBIT_ELEVATION, SPIRAL_ELEVATIONS = 0.4, (0.0, 0.9)  # rad; a spiral goes from the one to the other in two turns
-SPIRAL_TURNS = 2.0
 
 
 class Listed(NamedTuple):
@@ -89,7 +88,8 @@ def around(
     centre, camera = 0.5 * (low + high), pinhole(*size, fov)
     away = 0.5 * float((high - low).max()) / np.tan(fov / 2) if distance is None else distance
     share = np.arange(frames) / frames
-    turns, (first, last) = (1.0, (ORBIT_ELEVATION,) * 2) if kind == "orbit" else (SPIRAL_TURNS, SPIRAL_ELEVATIONS)
+    spiral_turns = 2.0
+    turns, (first, last) = (1.0, (ORBIT_ELEVATION,) * 2) if kind == "orbit" else (spiral_turns, SPIRAL_ELEVATIONS)
     azimuth, elevation = 2 * np.pi * turns * share, first + (last - first) * share
     upright = _upright(up / np.linalg.norm(up))
     seen_from = on_sphere(azimuth, elevation, away)

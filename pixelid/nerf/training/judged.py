@@ -20,8 +20,6 @@ from pixelid.nerf.training.residuals import loss_of_pixels, rows_of
 from pixelid.nerf.training.state import Problem, State, learned, take
 from pixelid.nerf.training.train import train
 
-MOST_CHAINS = 2048  # of held-out pixels, that are looked at: a look costs less than five steps of as many chains
-
 
 def train_judged(
     problem: Problem, recipe: Recipe, state: State, report: Callable[[State, dict[str, float]], None] = lambda *_: None
@@ -63,7 +61,8 @@ def keep_best(state: State) -> None:
 
 
 def _look(problem: Problem, state: State) -> Look:
-    rows = rows_of(problem, state, problem.held_out, state.pixel.mean_threshold, MOST_CHAINS)
+    most_chains = 2048  # of held-out pixels, that are looked at: a look costs less than five steps of as many chains
+    rows = rows_of(problem, state, problem.held_out, state.pixel.mean_threshold, most_chains)
     losses = parallel.agreed(loss_of_pixels(rows))  # on GPUs last digits differ, and with them what is decided
     return Look(state.iteration, losses, len(rows.rest))
 

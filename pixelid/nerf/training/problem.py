@@ -22,9 +22,6 @@ from pixelid.nerf.pixel.maps import PixelMaps, find_hot, maps_of_circuit, rate_o
 from pixelid.nerf.training.state import Problem
 from pixelid.stages.circuit import Circuit
 
-# Share of intervals shorter than the dead time that stamps and noise may make; where more are, the pixel is faster than
-# told, and the dead time is that short.
-TOO_SHORT = 1e-3
 # Times the crossing time of the box's image as a whole: where a camera hardly moves, events come from a pixel that lags
 # or leaks, and each tells its own time.
 MOST_UNEVEN = 10.0
@@ -84,7 +81,10 @@ def problem_of(
         kept = ~is_hot[y * camera.width + x]
         maps, (t, x, y, on) = replace(maps, hot=hot, hot_hz=hot_hz), (column[kept] for column in (t, x, y, on))
     lengths = interval_lengths(t, y * camera.width + x)
-    if len(lengths) and (possible := float(np.quantile(lengths, TOO_SHORT))) < circuit.refractory:
+    # Share of intervals shorter than the dead time that stamps and noise may make; where more are, the pixel is
+    # faster than told, and the dead time is that short.
+    too_short = 1e-3
+    if len(lengths) and (possible := float(np.quantile(lengths, too_short))) < circuit.refractory:
         circuit = circuit.with_(refractory=possible)
     least_s = float(lengths.min()) if len(lengths) else 0.0
     del lengths  # as large as the times

@@ -16,7 +16,6 @@ from pixelid.nerf.training.losses import Weights
 from pixelid.nerf.training.poses import Refinement
 
 MOST_CELLS = (32, 512)  # per side, of a sensor that leaves them open
-MOST_AT_ONCE = 160  # cells per side up to which a field is refined by halves, beyond by doubling
 # Of `--steps auto`.  The default recipe (1200 steps of 320 chains) was chosen on scenes of 64 × 64 pixels with some
 # 1e5 changes: the same batch per change and as many looks at each, within what a training may take.
 VISITS = 60
@@ -90,7 +89,8 @@ class Recipe:
 
     def with_cells(self, cells: int) -> Recipe:
         """The recipe that ends with so many cells per side."""
-        quarters = (2, 3, 4) if cells <= MOST_AT_ONCE else (1, 2, 4)
+        most_at_once = 160  # cells per side up to which a field is refined by halves, beyond by doubling
+        quarters = (2, 3, 4) if cells <= most_at_once else (1, 2, 4)
         return dataclasses.replace(self, vertices=tuple(max(cells * k // 4, 1) + 1 for k in quarters))
 
     def for_data(self, changes: int, samples: int = 1, memory: int | None = None) -> Recipe:

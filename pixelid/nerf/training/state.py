@@ -29,7 +29,6 @@ from pixelid.stages.circuit import Circuit
 
 HARMONICS_RATE = 0.3  # learning rate of the harmonics over the grid's
 POSES = 0.3  # learning rate of what moves the poses, in standard deviations of its prior, over the grid's
-DEPARTURES = 0.4  # learning rate of single pixels' thresholds, in their standard deviations, over the grid's
 
 
 @dataclass(frozen=True)
@@ -208,8 +207,9 @@ def optimiser_of(scene: Field, pixel: Pixel, poses: Poses, recipe: Recipe) -> to
         for values in (pixel.factors, pixel.added)
         if values.requires_grad
     ]
+    departures = 0.4  # learning rate of single pixels' thresholds, in their standard deviations, over the grid's
     if pixel.departures.requires_grad:
-        groups.append({"params": [pixel.departures], "lr": recipe.rate, "share": DEPARTURES})
+        groups.append({"params": [pixel.departures], "lr": recipe.rate, "share": departures})
     groups += [
         {"params": [values], "lr": recipe.rate, "share": POSES}
         for values in (poses.offset, poses.moved)

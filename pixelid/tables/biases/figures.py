@@ -12,9 +12,7 @@ from pixelid.figures.style import INK, MUTED, legend_above, new_axes, series_col
 from pixelid.figures.words import with_unit
 from pixelid.tables.fit import SUSPECT_SCALES
 
-POINTS = 200
 MARGIN = 0.1  # of the measured range, drawn beyond it
-MOST_RESIDUAL = 12.0  # scales
 
 
 @styled
@@ -36,12 +34,14 @@ def draw_law(name: str, entry: Mapping[str, Any], quantity: Quantity | None, axe
     x, y, fit, z = (np.array([row[key] for row in rows], float) for key in
                     (codes[0], "measured", "predicted", "standardised"))  # fmt: skip
     levels = np.unique(level)
+    points = 200
+    most_residual = 12.0  # scales
     for one, colour in zip(levels, series_colours(len(levels)), strict=True):
         mine = level == one
         label = f"{codes[1]} {one:g}" if len(codes) > 1 else None
         top.plot(x[mine], y[mine], "o", markersize=3, color=colour, label=label)
-        for marker, some in (("o", abs(z) <= MOST_RESIDUAL), ("^", z > MOST_RESIDUAL), ("v", z < -MOST_RESIDUAL)):
-            shown = np.clip(z[mine & some], -MOST_RESIDUAL, MOST_RESIDUAL)
+        for marker, some in (("o", abs(z) <= most_residual), ("^", z > most_residual), ("v", z < -most_residual)):
+            shown = np.clip(z[mine & some], -most_residual, most_residual)
             bottom.plot(x[mine & some], shown, marker, markersize=3, color=colour)
         if quantity is None:
             ends = np.array([row["interval_95"] for row in rows], float)[mine]
@@ -49,8 +49,8 @@ def draw_law(name: str, entry: Mapping[str, Any], quantity: Quantity | None, axe
             top.errorbar(x[mine], middle, np.abs(ends.T - middle), fmt="_", color=colour, elinewidth=0.8)
         else:
             reach = MARGIN * np.ptp(x)
-            fine = np.linspace(x.min() - reach, x.max() + reach, POINTS)
-            at = quantity.predict(np.column_stack([fine, np.full(POINTS, one)][: len(codes)]))
+            fine = np.linspace(x.min() - reach, x.max() + reach, points)
+            at = quantity.predict(np.column_stack([fine, np.full(points, one)][: len(codes)]))
             top.plot(fine, at["value"], color=colour, linewidth=0.8)
             top.fill_between(fine, at["low"], at["high"], color=colour, alpha=0.2, linewidth=0)
     if len(codes) > 1:
@@ -61,5 +61,5 @@ def draw_law(name: str, entry: Mapping[str, Any], quantity: Quantity | None, axe
     top.set_ylim(0.7 * y.min(), 1.4 * y.max())
     bottom.axhspan(-SUSPECT_SCALES, SUSPECT_SCALES, color=MUTED, alpha=0.15, linewidth=0)
     bottom.axhline(0.0, color=INK, linewidth=0.6)
-    bottom.set(xlabel=codes[0], ylabel="residual (σ)", ylim=(-MOST_RESIDUAL - 1.0, MOST_RESIDUAL + 1.0))
+    bottom.set(xlabel=codes[0], ylabel="residual (σ)", ylim=(-most_residual - 1.0, most_residual + 1.0))
     return top, bottom

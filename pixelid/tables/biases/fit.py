@@ -23,14 +23,8 @@ from pixelid.tables.fit import TableFit, covariance_at, fit_table
 from pixelid.tables.model import Rows
 
 HEADROOMS = (0.02, 0.1, 0.5, 2.0)  # codes of no current at which searches begin, in half-ranges below the range
-LEAST_WEIGHT = 0.005  # of the draws of a prediction: 20 of 4000
 BLOCKS = 5  # of neighbouring codes, left out in turn
-MOST_LEVELS = 12  # of a code, left out in turn one by one
-LEAST_KNOWN = 1.0  # standard error of a coordinate: a factor 7 either way; wider, its interval is no longer normal
-MEDIAN_SQUARE = 0.455  # of a standard normal
-MOST_FREEDOM = 1e6  # as good as normal
 OPEN = 1e100  # limits of intervals that are open
-TWO_SIDED = 1.96  # standard errors 1/√n of a correlation that is none
 
 
 @dataclass(frozen=True)
@@ -92,7 +86,9 @@ class FittedLaw:
     @property
     def usable(self) -> bool:
         """Whether the search came to rest and the rows fix every coordinate; else a form with fewer says the same."""
-        return self.regression.converged and bool((self.regression.sd < LEAST_KNOWN).all())
+        # Standard error of a coordinate: a factor 7 either way; wider, its interval is no longer normal
+        least_known = 1.0
+        return self.regression.converged and bool((self.regression.sd < least_known).all())
 
 
 def fit_laws(table: BiasTable, report: Callable[[float], None] = lambda done: None) -> list[FittedLaw]:
@@ -113,7 +109,8 @@ def fit_laws(table: BiasTable, report: Callable[[float], None] = lambda done: No
     usable = np.array([one.usable for one in fitted])
     weight = np.exp(-0.5 * np.maximum([one.bic - fitted[0].bic for one in fitted], 0.0)) * usable
     weight = weight if usable.any() else np.eye(len(fitted))[0]
-    weight = np.where(weight / weight.sum() < LEAST_WEIGHT, 0.0, weight)
+    least_weight = 0.005  # of the draws of a prediction: 20 of 4000
+    weight = np.where(weight / weight.sum() < least_weight, 0.0, weight)
     weight /= weight.sum()
     values = []
     for k, (one, w) in enumerate(zip(fitted, weight, strict=True)):
@@ -140,7 +137,8 @@ def _fit_from(table: BiasTable, start: Law) -> FittedLaw:
     covariance = covariance_at(best) * _correlation(table, best.residual)
     # of errors that are stated nothing is estimated from the spare rows (Satterthwaite 1946, Biometrics Bull. 2, 110)
     share = float((best.scale**2 / (best.scale**2 + best.model.rows.known_variance)).mean())
-    freedom = min(max(len(best.residual) - len(best.x) - 1.0, 1.0) / share**2, MOST_FREEDOM)
+    most_freedom = 1e6  # as good as normal
+    freedom = min(max(len(best.residual) - len(best.x) - 1.0, 1.0) / share**2, most_freedom)
     law = replace(
         start, x=best.x, covariance=0.5 * (covariance + covariance.T), scatter=best.scale, freedom=freedom
     )  # fmt: skip
@@ -202,7 +200,8 @@ def _correlation(table: BiasTable, residual: np.ndarray) -> float:
         return 1.0
     r = np.clip(residual[np.argsort(table.code[:, 0], kind="stable")], -3.0, 3.0)
     rho = float((r[1:] * r[:-1]).mean() / max((r * r).mean(), 1e-12))
-    return (1.0 + min(rho, 0.95)) / (1.0 - min(rho, 0.95)) if rho > TWO_SIDED / np.sqrt(len(r)) else 1.0
+    two_sided = 1.96  # standard errors 1/√n of a correlation that is none
+    return (1.0 + min(rho, 0.95)) / (1.0 - min(rho, 0.95)) if rho > two_sided / np.sqrt(len(r)) else 1.0
 
 
 def folds(table: BiasTable) -> list[np.ndarray]:
@@ -212,7 +211,8 @@ def folds(table: BiasTable) -> list[np.ndarray]:
     if len(levels) < 3:
         code = table.code[:, 0]
         levels = np.unique(code)
-    groups = [[x] for x in levels] if len(levels) <= MOST_LEVELS else np.array_split(levels, BLOCKS)
+    most_levels = 12  # of a code, left out in turn one by one
+    groups = [[x] for x in levels] if len(levels) <= most_levels else np.array_split(levels, BLOCKS)
     return [np.isin(code, group) for group in groups]
 
 
@@ -236,7 +236,8 @@ def departure_variance(table: BiasTable, fitted: FittedLaw) -> float:
         distance[out] = fitted.law.distances(table.code[out], table.code[~out])
     square = (fitted.heldout**2 - known) / distance
     square = square[np.isfinite(square)]
-    return max(float(np.median(square)), 0.0) / MEDIAN_SQUARE if len(square) else 0.0
+    median_square = 0.455  # of a standard normal
+    return max(float(np.median(square)), 0.0) / median_square if len(square) else 0.0
 
 
 def natural_values(law: Law, seed: int) -> dict[str, tuple[float, float, list[float]]]:

@@ -25,10 +25,7 @@ from pixelid.errors import InputError
 from pixelid.statistics import SD_PER_MEDIAN, Z95
 from pixelid.tables.biases.reading import BiasTable
 
-LEAST_ROWS = 4
 LEAST_APART = 1.2  # ratio of two settings' thresholds; nearer, the two kinds do not part
-MOST_SD = 5.0  # robust standard deviations: pixels beyond are defects
-BLOCKS = 20  # of pixels, left out in turn for the errors: neighbours may share their deviations
 NAME = re.compile(r"^(on|off)_(.+)$", re.IGNORECASE)
 
 
@@ -36,7 +33,8 @@ def of_spreads(table: BiasTable) -> dict[str, Any] | None:
     """A and R from the spreads of a table's settings; None where it has none, or too few."""
     kept = np.isfinite(table.spread) & (table.spread > 0.0) if len(table.spread) else np.zeros(0, bool)
     theta, sd = table.measured[kept], table.spread[kept]
-    if len(sd) < LEAST_ROWS or theta.max() < LEAST_APART * theta.min():
+    least_rows = 4
+    if len(sd) < least_rows or theta.max() < LEAST_APART * theta.min():
         return None
     weight = sd.mean() ** 2 / sd**2  # relative errors are alike
     X = np.column_stack([np.ones(len(sd)), theta**2])
@@ -75,17 +73,19 @@ def _of_pair(path: Path, edge: str, pair: Mapping[str, np.ndarray]) -> dict[str,
         raise InputError(f"{path}: {edge}: expected maps of one shape, found {a.shape} and {b.shape}")
     a, b = a.ravel(), b.ravel()
     kept = np.isfinite(a) & np.isfinite(b)
+    most_sd = 5.0  # robust standard deviations: pixels beyond are defects
     for x in (a, b):
         middle = float(np.median(x[kept]))
-        kept &= np.abs(x - middle) < MOST_SD * SD_PER_MEDIAN * np.median(np.abs(x[kept] - middle))
-    if kept.sum() < 10 * BLOCKS:
+        kept &= np.abs(x - middle) < most_sd * SD_PER_MEDIAN * np.median(np.abs(x[kept] - middle))
+    blocks = 20  # of pixels, left out in turn for the errors: neighbours may share their deviations
+    if kept.sum() < 10 * blocks:
         return None
     a, b = a[kept], b[kept]
     if max(a.mean(), b.mean()) < LEAST_APART * min(a.mean(), b.mean()):
         return None
     every = np.stack([_moments(np.delete(a, part), np.delete(b, part))
-                      for part in np.array_split(np.arange(len(a)), BLOCKS)])  # fmt: skip
-    error = np.sqrt((BLOCKS - 1) * every.var(0))  # jackknife
+                      for part in np.array_split(np.arange(len(a)), blocks)])  # fmt: skip
+    error = np.sqrt((blocks - 1) * every.var(0))  # jackknife
     squares = _moments(a, b)
     theta = 0.5 * float(a.mean() + b.mean())
     return _parts(squares[:2], error[:2], theta, "log radiance") | {

@@ -14,7 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
+from pixelid.documents import interpreting, read_json
 from pixelid.errors import InputError, shown
+from pixelid.tables.rates.bias_law import biases_of
 from pixelid.tables.reading import TextTable, read_text_table
 
 UNITS = {"s": ("s", 1.0), "ms": ("s", 1e-3), "us": ("s", 1e-6), "µs": ("s", 1e-6), "ns": ("s", 1e-9),
@@ -27,7 +29,6 @@ PARAMETERS = {"refractory_s", "on_threshold", "off_threshold", "sf_cutoff_hz", "
 EDGES = {"on": "on", "1": "on", "off": "off", "0": "off", "-1": "off"}
 ERROR = re.compile(r"(^|_)(sd|std|se|sem|err|error)(_|$)")
 SPREAD = re.compile(r"mismatch|spread")
-MOST_CODE = 1e9
 LEAST = 1e-18  # of a quantity in SI units
 EXPECTED = "as bias_refr,dead_time_us"
 
@@ -112,8 +113,9 @@ def _read(path: Path, stated: Stated, measured: bool) -> tuple[list[BiasTable], 
         if name not in numeric and name != edge and len(set(text.text(name))) > 1:
             raise InputError(f"{path}: {name}: expected one value in all rows, found several: keep the rows of one")
     values = {name: text.numbers(name) for name in biases}
+    most_code = 1e9
     for name, column in values.items():
-        text.check(name, np.abs(column) < MOST_CODE, f"a code, less than {MOST_CODE:g} either way")
+        text.check(name, np.abs(column) < most_code, f"a code, less than {most_code:g} either way")
     varied = [name for name in biases if np.ptp(values[name]) > 0.0] if measured else biases
     if measured and not 1 <= len(varied) <= 2:
         raise InputError(
@@ -236,3 +238,37 @@ def _joined(one: BiasTable, other: BiasTable) -> BiasTable:
     parts = {name: np.concatenate([getattr(one, name), getattr(other, name)])
              for name in ("code", "measured", "relative_error", "spread")}  # fmt: skip
     return replace(one, **parts, last_digit=max(one.last_digit, other.last_digit), sources=one.sources + other.sources)
+
+
+FILE = "rates.json"
+CUTOFF = re.compile(r"^cutoff_hz\[(.+)\]$")
+
+
+def is_rates(path: Path) -> bool:
+    """Whether this is the folder of a result of `pixelid rates`, or its rates.json."""
+    return path.name == FILE or (path / FILE).is_file()
+
+
+def read_cutoffs(path: Path) -> tuple[BiasTable, str]:
+    """The cutoffs that the rates fix, with their errors, and a line that says which.
+
+    Raises:
+        InputError: a damaged result, columns that no bias names, or no cutoff that is identified.
+    """
+    path = path if path.name == FILE else path / FILE
+    content = read_json(path)
+    with interpreting(path, "the cutoffs of a `pixelid rates` result"):
+        cutoffs = {match[1]: entry for name, entry in content["parameters"].items() if (match := CUTOFF.match(name))}
+        known = {
+            name: (float(e["value"]), float(e["std"])) for name, e in cutoffs.items() if e["identified"] and e["std"]
+        }
+    if not known:
+        raise InputError(f"{path}: expected cutoffs of several columns that the rates fix, found none")
+    value, sd = np.array(list(known.values())).T
+    label = re.sub(r"[\d.\s]+$", "", next(iter(known))).strip("_ ").lower()
+    code = label if label.startswith("bias_") else f"bias_{label or 'mv'}"
+    name = "sf_cutoff_hz" if code == "bias_fo" else "cutoff_hz"
+    table = BiasTable(name, "Hz", (code,), biases_of(list(known))[:, None], value, sd / value, sources=(path,))
+    left_out = [column for column in cutoffs if column not in known]
+    words = f"; without {', '.join(left_out)}, whose cutoff the rates leave open" if left_out else ""
+    return table, f"{path.name}: {name} [Hz] against {code}{words}"

@@ -23,15 +23,13 @@ from pixelid.provenance import provenance
 from pixelid.results import ContentResult, Table, interval, number
 from pixelid.statistics import Z95
 from pixelid.status import Status
-from pixelid.tables.biases.cutoffs import is_rates, read_cutoffs
 from pixelid.tables.biases.figures import draw_law
 from pixelid.tables.biases.fit import FittedLaw, departure_variance, fit_laws, natural_values
 from pixelid.tables.biases.mismatch import mismatch_sentences, of_maps, of_spreads
-from pixelid.tables.biases.reading import BiasTable, Stated, read_bias_tables
+from pixelid.tables.biases.reading import BiasTable, Stated, is_rates, read_bias_tables, read_cutoffs
 from pixelid.tables.fit import SUSPECT_SCALES, misses
 from pixelid.tables.result import open_sentences
 
-UNDECIDED = 0.05  # weight from which a rival is named: odds of 19 to 1 and less
 HEADINGS = ("quantity", "parameter", "value", "95 % interval", "unit")
 
 
@@ -230,7 +228,8 @@ def _sentences(table: BiasTable, fitted: Sequence[FittedLaw]) -> list[str]:
         f"{table.name}: {best.law.form.name} ({best.law.form.why}), scatter {100 * best.law.scatter:.2g} %, measured "
         f"at {ranges}; outside, intervals rest on the form"
     )
-    close = [one.law.form.name for one in fitted[1:] if one.law.weight > UNDECIDED]
+    undecided = 0.05  # weight from which a rival is named: odds of 19 to 1 and less
+    close = [one.law.form.name for one in fitted[1:] if one.law.weight > undecided]
     if close:
         sentences.append(
             f"{table.name}: {', '.join(close)} describes the rows about as well, and is part of the intervals"

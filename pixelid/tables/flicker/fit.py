@@ -21,7 +21,6 @@ from pixelid.tables.flicker.phases import Lock, PhaseTable, locked_frequency, ph
 from pixelid.tables.flicker.waveforms import HARMONICS, WAVEFORMS, Waveform, as_harmonics, harmonics
 
 OPEN_PHASE_CYCLES = 0.05
-HIGHEST_HZ = 1e5  # of a lamp, far above what a pixel follows
 # Pixels within a group differ: 0.9 to 3.8 in a real recording whose phases and amplitudes repeat from group to group
 MAX_DISPERSION = 4.0
 LEAST_EVENTS = 300  # of a group
@@ -142,9 +141,10 @@ def fit_flicker(
     events = recording.events
     if recording.pooled:
         raise InputError(f"{recording.name}: pooled events have no pixels; flicker needs each pixel's last event")
-    if not (0 < near_hz <= HIGHEST_HZ and min(grid) >= 1):
+    highest_hz = 1e5  # of a lamp, far above what a pixel follows
+    if not (0 < near_hz <= highest_hz and min(grid) >= 1):
         raise InputError(
-            f"flicker: expected a frequency above 0 and up to {HIGHEST_HZ:g} Hz and a grid of at least 1x1, "
+            f"flicker: expected a frequency above 0 and up to {highest_hz:g} Hz and a grid of at least 1x1, "
             f"found {near_hz}, {grid}"
         )
     if model.photoreceptor != "second_order" or "source_follower_pole" not in model.effects:

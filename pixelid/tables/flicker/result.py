@@ -18,9 +18,6 @@ from pixelid.tables.flicker.fit import OPEN_PHASE_CYCLES, FlickerFit, Group
 from pixelid.tables.flicker.noisy import LINEAR, NAMES
 from pixelid.tables.result import TableResult
 
-# a reference that fades is named when it is 10 nats likelier: e¹⁰ to one, beyond what the choice of shape can give
-MIN_MEMORY_GAIN_NATS = 10.0
-
 
 @dataclass(frozen=True, repr=False)
 class FlickerResult(TableResult):
@@ -206,7 +203,10 @@ def disagreements(fit: FlickerFit) -> list[str]:
             f"{cutoff['interval_95'][1]:.3g}), lit for {duty['value']:.2g} of the period, in {found['groups']} groups"
         )
     gain = fit.memory_gain / max(typical, 1.0)
-    if gain > MIN_MEMORY_GAIN_NATS:
+    # a reference that fades is named when it is 10 nats likelier: e¹⁰ to one, beyond what the choice of shape can
+    # give
+    min_memory_gain_nats = 10.0
+    if gain > min_memory_gain_nats:
         memory = np.median([g.fit.values["memory"] for g in fit.groups])
         sentences.append(
             f"the level of the last event is remembered by {memory:.2f} only (median; 1 is the model's "

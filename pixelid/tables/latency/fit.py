@@ -16,7 +16,6 @@ from pixelid.tables.latency.model import FOLLOWER_STARTS_HZ, THRESHOLD, LatencyM
 from pixelid.tables.latency.reading import LEAST_S, LatencyTable
 from pixelid.tables.profile import follow_profile, with_rivals
 
-LEAST_CELLS = 4  # a threshold, a delay and a bandwidth, and one to spare
 SCALED = (0.5, 2.0)  # two maxima of the public table's CAM1, nearly as good as each other, are a factor of 2 apart
 # Scales all thresholds of a table: the likelihood is skewed along it, and along the thresholds, whose errors by
 # curvature alone were a third of their profiles'
@@ -89,9 +88,10 @@ def fit_camera(name: str, cells: Cells, *, one_delay: bool = False, start: Camer
     """Fit the cells of one camera; `one_delay` for comparison, see `LatencyModel`."""
     median = cells.table.latency_s["median"]
     measured = int((np.isfinite(median) & (median >= LEAST_S)).sum())
-    if measured < LEAST_CELLS:
+    least_cells = 4  # a threshold, a delay and a bandwidth, and one to spare
+    if measured < least_cells:
         raise InputError(
-            f"camera {name}: expected at least {LEAST_CELLS} cells with a median of {1e6 * LEAST_S:g} µs or more, "
+            f"camera {name}: expected at least {least_cells} cells with a median of {1e6 * LEAST_S:g} µs or more, "
             f"found {measured} (columns of seconds are named median_s, …)"
         )
     starts = FOLLOWER_STARTS_HZ[: 1 if start is not None else None]

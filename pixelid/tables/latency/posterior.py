@@ -22,9 +22,6 @@ if TYPE_CHECKING:
 
 STEPS = 1500
 ENSEMBLES = 2
-TRUST = 0.5  # share of independence proposals
-MOST_SCATTER = 1.0  # relative: a model that misses delays by their size describes none of them
-MOST_SD = 1.0  # of a start along any coordinate: what the table leaves open starts no wider
 
 
 def log_posterior(fit: CameraFit, z: np.ndarray) -> float:
@@ -32,7 +29,8 @@ def log_posterior(fit: CameraFit, z: np.ndarray) -> float:
     model = fit.model
     x, scatter = z[:-1], np.exp(z[-1])
     bounds = np.array([p.coordinate_bounds() for p in model.parameters])
-    if (x < bounds[:, 0]).any() or (x > bounds[:, 1]).any() or not 1e-4 < scatter < MOST_SCATTER:
+    most_scatter = 1.0  # relative: a model that misses delays by their size describes none of them
+    if (x < bounds[:, 0]).any() or (x > bounds[:, 1]).any() or not 1e-4 < scatter < most_scatter:
         return -np.inf
     rows = model.rows
     s = np.sqrt(scatter**2 + rows.rounding**2 + np.asarray(rows.relative_error) ** 2)
@@ -64,6 +62,7 @@ def sample_camera(
     def target(z: np.ndarray) -> float:
         return log_posterior(fit, z)
 
+    trust = 0.5  # share of independence proposals
     for k in range(ENSEMBLES):
         rng = np.random.RandomState([seed, k, 15])
         starts = np.empty((walkers, d))
@@ -74,7 +73,7 @@ def sample_camera(
                 if np.isfinite(log_posterior(fit, starts[j])):
                     break
                 width *= 0.7
-        sampler = emcee.EnsembleSampler(walkers, d, target, moves=moves(proposal, TRUST))
+        sampler = emcee.EnsembleSampler(walkers, d, target, moves=moves(proposal, trust))
         sampler.log_prob_fn = target  # pyright: ignore  (emcee's own wrapper prints a traceback for an interrupt)
         sampler.random_state = np.random.RandomState([seed, k, 20240711]).get_state()
         for done, _ in enumerate(sampler.sample(starts, iterations=steps, skip_initial_state_check=True), 1):
@@ -125,7 +124,8 @@ def _gaussian(fit: CameraFit) -> Proposal:
     x, rows = regression.x, fit.model.rows
     covariance = covariance_at(regression)
     sd = np.sqrt(np.diag(covariance))
-    covariance *= np.outer(np.minimum(1.0, MOST_SD / sd), np.minimum(1.0, MOST_SD / sd))
+    most_sd = 1.0  # of a start along any coordinate: what the table leaves open starts no wider
+    covariance *= np.outer(np.minimum(1.0, most_sd / sd), np.minimum(1.0, most_sd / sd))
     size = len(x) + 1
     axes = np.zeros((size, size))
     axes[:-1, :-1] = np.linalg.cholesky(covariance + 1e-12 * np.eye(len(x)))

@@ -23,7 +23,6 @@ from pixelid.tables.latency.settings import bias_of
 from pixelid.tables.reading import TextTable, read_text_table
 
 STATISTICS = ("median", "min", "max", "stdev", "sd")
-MICROSECOND_S = 1e-6
 TIMESTAMP_S = 1e-6  # event cameras stamp in µs: no latency is known better
 LEAST_S = 0.1 * TIMESTAMP_S  # a latency below is none
 PIXELS = 100.0  # of a region of interest where the table does not say: 10 × 10
@@ -148,7 +147,8 @@ def _numbers(text: TextTable, name: str, rows: int) -> np.ndarray:
 
 
 def _latencies(text: TextTable, name: str, rows: int) -> np.ndarray:
-    values = text.numbers(f"{name}_s") if f"{name}_s" in text.names else MICROSECOND_S * _numbers(text, name, rows)
+    microsecond_s = 1e-6
+    values = text.numbers(f"{name}_s") if f"{name}_s" in text.names else microsecond_s * _numbers(text, name, rows)
     wrong = np.flatnonzero(values < 0)
     if len(wrong):
         raise InputError(f"{text.path}: row {wrong[0] + 1}: {name}: expected a latency of at least 0")

@@ -32,7 +32,6 @@ from pixelid.tables.latency.steps import NEVER_S
 from pixelid.tables.result import TableResult, open_sentences
 
 REPEATABLE = 0.02  # regions of one condition agree no better in the public table's clean rows
-MOST_SAID = 20  # spoiled cells in words; all are marked in `rows`
 UNITS = {p.name: p.unit for p in SHARED}
 
 
@@ -352,13 +351,14 @@ def _disagreements(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     """The rows that the model down-weights most, one sentence each."""
     spoiled = [row for row in rows if abs(row["standardised"] or 0.0) > SUSPECT_SCALES]
     spoiled.sort(key=lambda row: -abs(row["standardised"]))
+    most_said = 20  # spoiled cells in words; all are marked in `rows`
     said = [
         f"{_place(row)}: median {1e6 * row['measured']:.4g} µs, the model says {1e6 * row['predicted']:.4g} "
         f"({row['standardised']:+.0f} scales)"
-        for row in spoiled[:MOST_SAID]
+        for row in spoiled[:most_said]
     ]
-    if len(spoiled) > MOST_SAID:
-        said.append(f"and {len(spoiled) - MOST_SAID} more outliers, marked `spoiled`")
+    if len(spoiled) > most_said:
+        said.append(f"and {len(spoiled) - most_said} more outliers, marked `spoiled`")
     lost = [row["lost_edges"] for row in rows if row["lost_edges"] > 0]
     if lost:
         said.append(

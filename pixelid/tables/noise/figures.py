@@ -10,10 +10,6 @@ import numpy as np
 from pixelid.figures.style import INK, MUTED, OFF, ON, legend_above, new_axes, styled
 from pixelid.tables.noise.model import NoiseModel
 
-ASIDE = 1.04  # by which OFF stands right of ON, which it would hide
-DENSE = 12  # lights from which a line through what is predicted is drawn
-REACH = 2.0  # of ratios; what is further out is an arrow
-
 
 @styled
 def draw_noise(model: NoiseModel, rows: Sequence[dict[str, Any]], axes: Any = None) -> Any:
@@ -24,6 +20,9 @@ def draw_noise(model: NoiseModel, rows: Sequence[dict[str, Any]], axes: Any = No
     table = model.table
     measured = np.array([row["measured"] for row in rows])
     predicted = np.array([row["predicted"] for row in rows])
+    aside = 1.04  # by which OFF stands right of ON, which it would hide
+    dense = 12  # lights from which a line through what is predicted is drawn
+    reach = 2.0  # of ratios; what is further out is an arrow
     for on, colour, name in ((True, ON, "ON"), (False, OFF, "OFF")):
         for group in sorted(set(table.group.tolist())):
             here = np.flatnonzero((table.on == on) & (table.group == group))
@@ -35,18 +34,18 @@ def draw_noise(model: NoiseModel, rows: Sequence[dict[str, Any]], axes: Any = No
             least = np.maximum(measured[here], table.last_digit[here])
             top.loglog(table.light[here], least, marker, color=colour, ms=4, label=label)
             # between few lights a straight line would not be the circuit's
-            line = {} if len(here) >= DENSE else {"marker": "_", "linestyle": "none", "markersize": 14, "mew": 1.5}
+            line = {} if len(here) >= dense else {"marker": "_", "linestyle": "none", "markersize": 14, "mew": 1.5}
             top.loglog(table.light[here], predicted[here], color=colour, **line)
             shown = here[measured[here] > 0]
-            ratio, light = measured[shown] / predicted[shown], table.light[shown] * (1.0 if on else ASIDE)
-            far = ratio > REACH
+            ratio, light = measured[shown] / predicted[shown], table.light[shown] * (1.0 if on else aside)
+            far = ratio > reach
             bottom.semilogx(light[~far], ratio[~far], marker, color=colour, ms=4)
-            bottom.semilogx(light[far], np.full(far.sum(), REACH - 0.08), "^", color=colour, ms=6)
+            bottom.semilogx(light[far], np.full(far.sum(), reach - 0.08), "^", color=colour, ms=6)
     bottom.axhspan(0.85, 1.15, color=MUTED, alpha=0.15, linewidth=0)
     bottom.axhline(1.0, color=INK, linewidth=0.6)
     top.set_ylabel("events per pixel and second")
     legend_above(axes)
-    bottom.set(xlabel=f"light ({table.unit})", ylabel="measured / predicted", ylim=(0.0, REACH))
+    bottom.set(xlabel=f"light ({table.unit})", ylabel="measured / predicted", ylim=(0.0, reach))
     return axes
 
 

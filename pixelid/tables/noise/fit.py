@@ -36,7 +36,6 @@ from pixelid.tables.profile import Fallen, follow_profile
 
 STEP = 0.02  # of a coordinate, for central differences
 TRUST = 0.7  # of a coordinate per round: a factor of 2
-LEAST_TRUST = 0.02  # where not even steps of this length win their share, a search ends
 STEPS = 60  # tried, taken or not
 # nats that a step of `TRUST` promises, below which a fit has come to rest: 0.45 standard errors.  Valleys that rates
 # hardly fix are curved, and steps in them gain a few hundredths for long.
@@ -223,6 +222,7 @@ def _settled(
     line = replace(begun.line, level=level) if begun else None
     exact = line if begun and begun.of == (noise.circuit, slopes) else None
     trust, at_rest, left = TRUST, False, np.zeros(len(x))
+    least_trust = 0.02  # where not even steps of this length win their share, a search ends
     for step in range(STEPS):
         report(step / STEPS)
         line = line or (exact := _linearise(noise, x, level, slopes))
@@ -244,7 +244,7 @@ def _settled(
             trust = min(2.0 * trust, TRUST) if gained > GOOD * promised else trust
         elif line is not exact:
             line = None
-        elif trust > LEAST_TRUST:
+        elif trust > least_trust:
             trust *= 0.5
         else:
             if most < LOST:

@@ -18,9 +18,7 @@ from pixelid.tables.noise.first_passage import is_quiet, leak_drift, pixel_of
 from pixelid.tables.noise.process import LAST_LAG, noise_process
 from pixelid.tables.noise.quadrature import ROUGH, mismatch_draws
 
-FORGOTTEN = 8.0  # slowest time constants; e⁻⁸ is left of what a pixel knew beside its reference
 LATE = 160  # times at which a waiting pixel is followed, spaced evenly in ln t
-LONGEST = 60.0  # mean waits: e⁻⁶⁰ is left
 
 
 @dataclass(frozen=True)
@@ -91,7 +89,8 @@ def intervals_of(chain: Chain, dead_s: float) -> NoiseIntervals:
 
     c, at, r = chain, chain.at, chain.release
     lags = at.process.lags
-    known = int(np.searchsorted(lags, lags[-1] * FORGOTTEN / LAST_LAG)) + 1
+    forgotten = 8.0  # slowest time constants; e⁻⁸ is left of what a pixel knew beside its reference
+    known = int(np.searchsorted(lags, lags[-1] * forgotten / LAST_LAG)) + 1
     lags = lags[:known]
     draws, count, size = c.stationary.shape
     crossed, begun = np.zeros((2, draws, count, len(lags), size)), np.zeros((2, draws, count))
@@ -102,7 +101,8 @@ def intervals_of(chain: Chain, dead_s: float) -> NoiseIntervals:
     )  # fmt: skip
     rates = _by_polarity(np.einsum("akq,akqi->aki", c.stationary, c.resolvents), at.hidden.moments)
     rates = np.maximum(rates, 1e-300)
-    late = np.geomspace(lags[-1], max(LONGEST * float(c.share @ c.waited), 2.0 * lags[-1]), LATE + 1)
+    longest = 60.0  # mean waits: e⁻⁶⁰ is left
+    late = np.geomspace(lags[-1], max(longest * float(c.share @ c.waited), 2.0 * lags[-1]), LATE + 1)
     passed = np.zeros((2, 2, len(lags) + LATE))
     between = np.empty((len(lags), size, size))
     for a in range(draws):

@@ -9,10 +9,8 @@ import numpy as np
 
 EDGES_S = np.geomspace(1e-6, 1e4, 241)  # 24 bins a decade
 CENTRES_S = np.sqrt(EDGES_S[1:] * EDGES_S[:-1])
-GROUPS = 8  # of pixels, that tell how much shares differ by chance
 PAIRS = (("on_on", "on_off"), ("off_on", "off_off"))  # polarity before, and after
 COARSE, LEAST_SHARE = 3, 1e-5  # bins in one of the histogram, and what one must hold to be in it
-SURE = 3.0  # standard errors from which a difference is more than chance
 
 
 @dataclass(frozen=True)
@@ -74,16 +72,18 @@ def count_intervals(
     t, own, off = time_s[order], pixel[order], 1 - on[order].astype(np.int64)
     follows = own[1:] == own[:-1]
     bins = np.clip(np.searchsorted(EDGES_S, np.diff(t)[follows], side="right") - 1, 0, len(CENTRES_S) - 1)
-    group = own[1:][follows] % GROUPS
+    groups = 8  # of pixels, that tell how much shares differ by chance
+    group = own[1:][follows] % groups
     place = ((group * 2 + off[:-1][follows]) * 2 + off[1:][follows]) * len(CENTRES_S) + bins
-    counts = np.bincount(place, minlength=GROUPS * 4 * len(CENTRES_S)).reshape(GROUPS, 2, 2, -1)
+    counts = np.bincount(place, minlength=groups * 4 * len(CENTRES_S)).reshape(groups, 2, 2, -1)
     return MeasuredIntervals(name, radiance, counts, seen_s)
 
 
 def intervals_in_words(entry: dict[str, Any], unit: str, least: float) -> str:
     """A sentence where the distance is beyond `least` and chance; empty else."""
     far, error, median = entry["distance"], entry["distance_error"], entry["median_s"]
-    if far is None or error is None or far < max(least, SURE * error):
+    sure = 3.0  # standard errors from which a difference is more than chance
+    if far is None or error is None or far < max(least, sure * error):
         return ""
     return (
         f"{entry['file']} at {entry['radiance']:.3g} {unit}: intervals between events are not those predicted: shares "

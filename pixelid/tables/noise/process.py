@@ -23,7 +23,6 @@ from pixelid.errors import InputError
 from pixelid.stages.circuit import Circuit
 
 PER_OCTAVE = 5  # lags; 8 change rates by less than 0.3 %
-FIRST_LAG = 0.02  # of the time in which a slope is lost: crossings come back far later
 LAST_LAG = 30.0  # of the slowest time constant: e⁻³⁰ is left of what was
 
 
@@ -98,8 +97,9 @@ class NoiseProcess:
         curvature = self.seen[1] @ self.A
         slope_time = self.slope_sigma / math.sqrt(curvature @ self.P @ curvature)
         slowest = 1.0 / float(np.min(-np.linalg.eigvals(self.A).real))
-        octaves = math.log2(LAST_LAG * slowest / (FIRST_LAG * slope_time))
-        return FIRST_LAG * slope_time * 2.0 ** (np.arange(math.ceil(PER_OCTAVE * octaves) + 1) / PER_OCTAVE)
+        first_lag = 0.02  # of the time in which a slope is lost: crossings come back far later
+        octaves = math.log2(LAST_LAG * slowest / (first_lag * slope_time))
+        return first_lag * slope_time * 2.0 ** (np.arange(math.ceil(PER_OCTAVE * octaves) + 1) / PER_OCTAVE)
 
     @cached_property
     def propagators(self) -> np.ndarray:

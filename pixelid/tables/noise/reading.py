@@ -35,9 +35,6 @@ RATE = re.compile(r"event|rate|hz|per s|\bs\b")
 _PLAIN = str.maketrans("²µμ⁻·", "2uu  ")
 DARKEST, BRIGHTEST = 1e-15, 1e15  # of any unit: beyond lies no light that a sensor has seen
 STILL = 1e-3  # relative change of the light of a still scene: 10⁻³ of a threshold of 1 would be 1 % of a rate
-# Of a recording, left out: where it begins, references are not yet those that the noise leaves (in simulations they
-# are anywhere between the thresholds, and the nearest fire at once)
-SETTLING = 0.1
 
 
 @dataclass(frozen=True)
@@ -193,6 +190,9 @@ def reduced_recordings(recordings: Sequence[Recording]) -> NoiseTable:
     """
     rows, columns = [], {"file": [], "radiance": [], "polarity": [], "events": []}
     sizes, units, intervals, pairs, pair_errors = [], [], [], [], []
+    # Of a recording, left out: where it begins, references are not yet those that the noise leaves (in simulations
+    # they are anywhere between the thresholds, and the nearest fire at once)
+    settling = 0.1
     for recording in recordings:
         radiance, begin, end = _still(recording)
         events = recording.events
@@ -201,7 +201,7 @@ def reduced_recordings(recordings: Sequence[Recording]) -> NoiseTable:
             raise InputError(f"{recording.source or recording.name}: attribute crop: expected pixels, found none kept")
         sizes.append(pixels)
         units.append(recording.stimulus.unit if recording.stimulus else "radiance")
-        duration = (1.0 - SETTLING) * (end - begin)
+        duration = (1.0 - settling) * (end - begin)
         time_s = events.t * 1e-9
         steady = time_s > end - duration
         intervals.append(

@@ -31,9 +31,6 @@ from pixelid.tables.result import TableResult, table_result
 
 MODEL_FILE = "model.toml"
 NAMED = 0.15  # relative disagreement that is said in words
-MOST_NAMED = 12
-INTERVAL_LIGHTS = 6  # spread over those recorded, at which intervals are predicted: some seconds each
-REPEATABILITY = 0.05  # of a rate in a table without errors, against which --predict standardises
 SCALE = "light_scale["  # beginning of the names of scales that a fit of several tables finds
 FOLDED = ("shot_noise.density", "diff_cutoff_hz", "threshold_sigma", "threshold_mismatch.sigma")
 
@@ -110,7 +107,8 @@ def predicted_result(noise: NoiseModel, scales: Mapping[str, float] | None = Non
     predicted = lit.predict(np.array([p.to_coordinate(p.value) for p in lit.parameters]))
     ratio = rows.log_ratio(predicted)
     scatter = SD_PER_MEDIAN * float(np.median(np.abs(ratio)))
-    standardised = ratio / np.sqrt(rows.known_variance + REPEATABILITY**2)
+    repeatability = 0.05  # of a rate in a table without errors, against which --predict standardises
+    standardised = ratio / np.sqrt(rows.known_variance + repeatability**2)
     how = misses(ratio, standardised) or (f"by {scatter:.0%} (typical)" if not scatter < MAX_SCATTER else "")
     written = predicted_rows(noise, predicted, standardised)
     return {
@@ -136,7 +134,8 @@ def _about_rows(noise: NoiseModel, rows: Sequence[dict[str, Any]]) -> dict[str, 
     circuit, floor = noise.circuit.circuit(), noise.beside.get(FLOOR.name, 0.0)
     own = not noise.beside.get(OFF_BACKGROUND.name, 0.0)  # events whatever the light are not the circuit's
     seen = sorted((one.radiance, k) for k, one in enumerate(table.intervals) if one.counts.any())
-    spread = np.linspace(0, len(seen) - 1, INTERVAL_LIGHTS).round().astype(int) if seen and own else []
+    interval_lights = 6  # spread over those recorded, at which intervals are predicted: some seconds each
+    spread = np.linspace(0, len(seen) - 1, interval_lights).round().astype(int) if seen and own else []
     predicted = {seen[k][1] for k in spread}
     entries = [
         one.compared(mean_intervals(circuit, one.radiance, EDGES_S, floor) if k in predicted else None)
@@ -159,14 +158,15 @@ def disagreements(table: NoiseTable, rows: Sequence[dict[str, Any]]) -> list[str
     sentences = []
     ratios = [row["measured"] / row["predicted"] for row in rows]
     measured = [(abs(math.log(r)), k) for k, r in enumerate(ratios) if r > 0 and abs(r - 1.0) > NAMED]
-    for _, k in sorted(measured, reverse=True)[:MOST_NAMED]:
+    most_named = 12
+    for _, k in sorted(measured, reverse=True)[:most_named]:
         sentences.append(
             f"{rows[k].get('file', '')} {'ON' if table.on[k] else 'OFF'} at {table.light[k]:.3g} {table.unit}: "
             f"measured {rows[k]['measured']:.3g} events/s, predicted {rows[k]['predicted']:.3g} events/s "
             f"({ratios[k]:.2f} times)"
         )
-    if len(measured) > MOST_NAMED:
-        sentences.append(f"and {len(measured) - MOST_NAMED} more rows off by more than {NAMED:.0%}")
+    if len(measured) > most_named:
+        sentences.append(f"and {len(measured) - most_named} more rows off by more than {NAMED:.0%}")
     for group in sorted(set(table.group.tolist())):
         for on in (True, False):
             here = np.flatnonzero((table.group == group) & (table.on == on))

@@ -31,7 +31,6 @@ from pixelid.tables.rates.square_wave import rate
 
 MOST_MV = 10_000.0  # supplies of image sensors are 3.3 V or less
 LEAST_COLUMNS = 3  # two lie on any line
-LEAST_SD = 1e-6  # of ln f: rates without any scatter
 NO_LAW = "the biases do not fix how the cutoff goes with them"
 SLOPE = Parameter("mv_per_efold", 32.0, "mV", 5.0, 500.0, "log")
 TEMPERATURE_K = 300.0  # of the sensor, where nobody says: 15 K more or less change κ by 5 %
@@ -186,7 +185,8 @@ def departure(
         return 0.0
     line = np.stack([np.ones(len(kept)), biases[kept] - biases[kept].mean()], axis=1)
     errors = np.diag(sd[kept] ** 2) if covariance is None else covariance[np.ix_(kept, kept)]
-    errors = errors + np.diag(np.maximum(LEAST_SD**2 - np.diag(errors), 0.0))
+    least_sd = 1e-6  # of ln f: rates without any scatter
+    errors = errors + np.diag(np.maximum(least_sd**2 - np.diag(errors), 0.0))
     return departures(line, value[kept], errors, 2.0 * worse - (len(biases) - len(kept)))
 
 

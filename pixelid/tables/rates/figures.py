@@ -11,8 +11,6 @@ from pixelid.tables.fit import SUSPECT_SCALES
 from pixelid.tables.rates.pixel import PixelFit
 from pixelid.tables.rates.pool import PoolFit
 
-REACH = 12.0  # standard deviations; what is further out is an arrow with its value
-
 
 @styled
 def draw_pixel(fit: PixelFit, axes: Any = None) -> Any:
@@ -22,23 +20,24 @@ def draw_pixel(fit: PixelFit, axes: Any = None) -> Any:
     top, bottom = axes
     frequency = np.geomspace(fit.table.frequency_hz.min(), fit.table.frequency_hz.max(), 300)
     floor = 0.3 * fit.table.resolution_hz
+    reach = 12.0  # standard deviations; what is further out is an arrow with its value
     for k, (name, colour) in enumerate(zip(fit.table.columns, series_colours(len(fit.table.columns)), strict=True)):
         here = fit.column == k
         x = fit.table.frequency_hz[fit.row[here]]
         top.loglog(x, np.maximum(fit.observed[here], floor), "o", color=colour, label=name)
         top.loglog(frequency, np.maximum(fit.curve(k, frequency), floor), color=colour)
         residual = fit.regression.residual[here]
-        far = np.abs(residual) > REACH
+        far = np.abs(residual) > reach
         bottom.semilogx(x[~far], residual[~far], "o", color=colour)
         for at, value in zip(x[far], residual[far], strict=True):
-            bottom.plot(at, np.sign(value) * REACH, "^" if value > 0 else "v", color=colour)
-            bottom.annotate(f" {value:+.0f}", (at, np.sign(value) * REACH), va="center", fontsize=8)
+            bottom.plot(at, np.sign(value) * reach, "^" if value > 0 else "v", color=colour)
+            bottom.annotate(f" {value:+.0f}", (at, np.sign(value) * reach), va="center", fontsize=8)
     top.set_ylabel("events per second")
     top.set_xlim(bottom.get_xlim())
     legend_above(axes, 5, "setting")
     bottom.axhspan(-SUSPECT_SCALES, SUSPECT_SCALES, color=MUTED, alpha=0.15, linewidth=0)
     bottom.axhline(0.0, color=INK, linewidth=0.6)
-    bottom.set(xlabel="frequency of the light (Hz)", ylabel="residual (σ)", ylim=(-REACH - 1, REACH + 1))
+    bottom.set(xlabel="frequency of the light (Hz)", ylabel="residual (σ)", ylim=(-reach - 1, reach + 1))
     return axes
 
 

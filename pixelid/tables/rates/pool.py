@@ -26,7 +26,6 @@ from pixelid.tables.model import Rows
 from pixelid.tables.rates.grid import GridFit, GridModel
 from pixelid.tables.rates.square_wave import after_hysteresis, edge_events
 
-DEPTH_NATS = 14.0  # how far below c_max cutoffs go: e⁻¹⁴ of the pixels' light
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(48)
 
 
@@ -155,7 +154,8 @@ def pool_events(frequency_hz, pixels, top_hz, spread, swing, dead_s) -> np.ndarr
         return 2.0 * pixels * after_hysteresis(edge_events(swing, 1 / (2 * np.pi * top), dead, 0.5 / f), 1.0)
     # from c_max down to where even a bright pixel's swing stays below one threshold
     lowest = np.minimum(f / (2.0 * swing), 0.5 * top)
-    length = np.minimum(np.log(top / lowest), DEPTH_NATS)
+    depth_nats = 14.0  # how far below c_max cutoffs go: e⁻¹⁴ of the pixels' light
+    length = np.minimum(np.log(top / lowest), depth_nats)
     down = 0.5 * length[:, None] * (1.0 + NODES)
     cutoff = top[:, None] * np.exp(-down)
     n = after_hysteresis(

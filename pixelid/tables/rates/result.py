@@ -18,8 +18,6 @@ from pixelid.tables.rates.pixel import PixelFit, fit_pixel
 from pixelid.tables.rates.pool import PoolFit, fit_pool
 from pixelid.tables.result import TableResult, open_sentences, table_result
 
-MIN_LEAD_NATS = 5.0  # a likelihood ratio of e⁵ = 150, "very strong" (Kass & Raftery 1995, JASA 90, 773)
-
 
 @dataclass(frozen=True, repr=False)
 class RateResult(TableResult):
@@ -136,7 +134,8 @@ def pool_result(fit: PoolFit, alike: PoolFit) -> dict:
         f"pixels that are all alike miss the table by {100 * error_alike:.0f} % (median), pixels whose bandwidths are "
         f"spread as a power law by {100 * error:.0f} %"
     )
-    if nats_worse > MIN_LEAD_NATS and error < error_alike:
+    min_lead_nats = 5.0  # a likelihood ratio of e⁵ = 150, "very strong" (Kass & Raftery 1995, JASA 90, 773)
+    if nats_worse > min_lead_nats and error < error_alike:
         worse += ": the fall with frequency is the image shrinking, not one pixel's roll-off"
     return {
         **_head(r, "pool", table.frequency_hz),

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import shutil
 import time
-from collections.abc import Callable, Mapping
+import zipfile
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -15,11 +18,11 @@ from pixelid.nerf.data import calibration as layout
 from pixelid.nerf.data.camera import Camera
 from pixelid.nerf.data.dataset import EVENTS, POSES
 from pixelid.nerf.data.published import eds, esim, tumvie
-from pixelid.nerf.data.published.event_file import event_file
 from pixelid.nerf.data.published.posed_views import copy_views, write_pictures
 from pixelid.nerf.data.published.source import Block, Source
 from pixelid.nerf.data.published.window import Window, window_of
 from pixelid.nerf.data.views import CONVERTED, RENDERER
+from pixelid.nerf.options import DatasetOptions
 from pixelid.provenance import provenance
 from pixelid.results import Table, WrittenResult
 from pixelid.status import Status
@@ -70,16 +73,7 @@ def convert(
     path: Path,
     kind: str,
     folder: Path,
-    *,
-    start: float | None = None,
-    end: float | None = None,
-    every: int = 1,
-    views: int = 40,
-    camera: str = "",
-    time_offset: float = 0.0,
-    thresholds: tuple[float | None, float | None] = (None, None),
-    dead_time: float | None = None,
-    seed: int = 0,
+    asked: DatasetOptions,
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> Conversion:
     """Write a dataset of a published sequence.
@@ -88,15 +82,7 @@ def convert(
         path: of the sequence.
         kind: its layout: "esim", "eds" or "tumvie".
         folder: an empty one, which is filled.
-        start: s after the first pose; the beginning by default.
-        end: s after the first pose; the end by default.
-        every: keep one pixel in so many, with all of its events: a pixel that misses events is not understood.
-        views: at most so many pictures, spread over the time kept; posed views of the sequence's own are all taken.
-        camera: which of the sequence's cameras, by default its first.
-        time_offset: s, added to the times of the events.
-        thresholds: ON and OFF, in place of those known or assumed.
-        dead_time: s, in place of that known.
-        seed: of the pixels kept.
+        asked: what is kept, and stated.
         progress: called with what is done and the fraction.
 
     Returns:
@@ -106,17 +92,19 @@ def convert(
         InputError: naming file and field that are missing or wrong.
     """
     watch = time.perf_counter()
-    source = LAYOUTS[kind](path, camera)
-    window = window_of(source.poses, start, end)
-    kept = _pixels(source.camera, every, seed)
+    thresholds = asked.on_threshold, asked.off_threshold
+    source = LAYOUTS[kind](path, asked.camera)
+    window = window_of(source.poses, asked.start, asked.end)
+    kept = _pixels(source.camera, asked.every, asked.seed)
     progress("views", 0.0)
-    number = _views(folder, source, window, views)  # first: what is wrong with them is said before all events are read
-    counts, rate, events = _write_events(folder, source, window, kept, round(time_offset * 1e9), progress)
+    # first: what is wrong with them is said before all events are read
+    number = _views(folder, source, window, asked.views)
+    counts, rate, events = _write_events(folder, source, window, kept, round(asked.time_offset * 1e9), progress)
     np.savez(
         folder / POSES, T_wc_position=window.poses.position, T_wc_orientation=window.poses.orientation,
         T_wc_timestamp=window.poses.t - window.begin,
     )  # fmt: skip
-    pixel = _pixel(source, thresholds, dead_time)
+    pixel = _pixel(source, thresholds, asked.dead_time)
     which: dict[str, Any] = {} if kept is None else {layout.KEPT: kept}
     np.savez(folder / layout.FILE, **_geometry(source.camera), **pixel, **which)
     if source.renderer is not None:
@@ -129,8 +117,8 @@ def convert(
         "events": events,
         "duration_s": (window.end - window.begin) * 1e-9,
         "start_s": (window.begin - int(source.poses.t[0])) * 1e-9,
-        "every": every,
-        "time_offset_s": time_offset,
+        "every": asked.every,
+        "time_offset_s": asked.time_offset,
         "poses": {"kept": len(window.poses.t), "longest_step_s": float(np.diff(window.poses.t).max()) * 1e-9},
         "views": number,
         "sensor": {
@@ -143,7 +131,7 @@ def convert(
         },
         "notes": [*window.notes, *_notes(source, thresholds, known, number)],
         "seconds": time.perf_counter() - watch,
-        "seed": seed,
+        "seed": asked.seed,
         **provenance(*source.files),
     }  # fmt: skip
     return Conversion(content, counts, rate)
@@ -243,3 +231,43 @@ def _notes(source: Source, thresholds, known: bool, views: Mapping[str, int]) ->
     if not views:
         notes.append("no views: the reconstruction has no scores")
     return notes
+
+
+COLUMNS = {"position": np.dtype("<u2"), "timestamp": np.dtype("<i8"), "polarity": np.dtype("?")}
+COPY = 1 << 20  # bytes
+
+
+class EventFile:
+    """The columns, each in a file of its own until their length is known."""
+
+    def __init__(self, files: dict) -> None:
+        self._files = files
+        self.events = 0
+
+    def add(self, t: np.ndarray, x: np.ndarray, y: np.ndarray, on: np.ndarray) -> None:
+        """Events (n,) after those before; t: ns."""
+        position = np.column_stack([x, y])
+        for name, values in (("position", position), ("timestamp", t), ("polarity", on)):
+            self._files[name].write(np.ascontiguousarray(values, COLUMNS[name]).data)
+        self.events += len(t)
+
+
+@contextmanager
+def event_file(path: Path) -> Iterator[EventFile]:
+    """Yield what takes the events of an npz file, which is there at the end; nothing is when an error stops it."""
+    parts = {name: path.with_name(f".{name}.part") for name in COLUMNS}
+    try:
+        with ExitStack() as stack:
+            writer = EventFile({name: stack.enter_context(part.open("wb")) for name, part in parts.items()})
+            yield writer
+        with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED, allowZip64=True) as archive:
+            for name, part in parts.items():
+                shape = (writer.events, 2) if name == "position" else (writer.events,)
+                with archive.open(f"{name}.npy", "w", force_zip64=True) as member, part.open("rb") as column:
+                    header = {"descr": COLUMNS[name].str, "fortran_order": False, "shape": shape}
+                    np.lib.format.write_array_header_1_0(member, header)
+                    shutil.copyfileobj(column, member, COPY)
+                part.unlink()
+    finally:
+        for part in parts.values():
+            part.unlink(missing_ok=True)

@@ -28,8 +28,6 @@ ENCODINGS = {
     "rgba8": (np.uint8, 4, (0, 1, 2)), "bgra8": (np.uint8, 4, (2, 1, 0)), "8UC4": (np.uint8, 4, (2, 1, 0)),
 }  # fmt: skip
 BLOCK = 1 << 18  # events handed on together
-AFTER_NS = 1_000_000_000  # how much later than asked for a message may be before nothing else is expected
-THRESHOLD = 0.25  # assumed where there is no esim.conf: events leave a factor on all thresholds open
 
 
 def read(path: Path, camera: str = "") -> Source:
@@ -54,12 +52,13 @@ def read(path: Path, camera: str = "") -> Source:
         pictures = _pictures(bag, reader, cam, sensor)
     conf = _conf(bag)
     views = next((f for f in (bag.parent / FOLDER, bag.resolve().parent.parent / FOLDER) if f.is_dir()), None)
-    pixel: dict[str, Any] = dict.fromkeys(("pos_contrast_threshold", "neg_contrast_threshold"), THRESHOLD)
+    threshold = 0.25  # assumed where there is no esim.conf: events leave a factor on all thresholds open
+    pixel: dict[str, Any] = dict.fromkeys(("pos_contrast_threshold", "neg_contrast_threshold"), threshold)
     if conf is not None:
         flags = read_flags(conf)
         pixel, renderer, notes = pixel_of(conf, flags), renderer_of(conf, flags), notes_of(conf, flags)
     else:
-        renderer, notes = None, (f"thresholds of {THRESHOLD} are assumed, and the circuit is unknown: no esim.conf",)
+        renderer, notes = None, (f"thresholds of {threshold} are assumed, and the circuit is unknown: no esim.conf",)
     return Source(
         "esim", sensor, poses, _events(bag, topics["events"].topic), pictures, pixel, views,
         renderer if views is not None else None, notes, (bag, *([conf] if conf else [])),
@@ -136,6 +135,8 @@ def _poses(bag: Path, reader, connection) -> Poses:
 
 
 def _events(bag: Path, topic: str) -> Callable[[int, int], Iterator[Block]]:
+    after_ns = 1_000_000_000  # how much later than asked for a message may be before nothing else is expected
+
     def blocks(begin: int, end: int) -> Iterator[Block]:
         with opened_bag(bag) as reader:
             connections = [c for c in reader.connections if c.topic == topic]
@@ -143,7 +144,7 @@ def _events(bag: Path, topic: str) -> Callable[[int, int], Iterator[Block]]:
             number = 0
             for _, _, data in reader.messages(connections=connections):
                 t, x, y, p = record_columns(bytes(data), reader.is2, bag)[1]
-                if len(t) and t.min() > end + AFTER_NS:
+                if len(t) and t.min() > end + after_ns:
                     yield from _joined(waiting)
                     return
                 if len(t) and t.max() >= begin:

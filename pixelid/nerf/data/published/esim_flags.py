@@ -34,8 +34,6 @@ CIRCUIT = (
     "diff_amp_cutoff_freq_hz",
 )  # fmt: skip
 COLOUR_SPACES = ("display", "linear")
-BLENDER = 4  # renderer_type whose images have a colour space
-FF_MV = 1e-3  # fF · mV in fA · s: 1e-15 F · 1e-3 V = 1e-18 C
 
 
 def read_flags(file: Path) -> dict[str, str]:
@@ -79,7 +77,8 @@ def pixel_of(file: Path, flags: dict[str, str]) -> dict[str, Any]:
     if not set(CIRCUIT) & set(flags):
         return pixel
     ratio = value["I_p_to_intensity_ratio_fa"]
-    charge = FF_MV * value["thermal_voltage_mv"]
+    ff_mv = 1e-3  # fF · mV in fA · s: 1e-15 F · 1e-3 V = 1e-18 C
+    charge = ff_mv * value["thermal_voltage_mv"]
     return pixel | {
         "input_time_const_eff_it_prod": value["photodiode_cap_ff"] * charge / ratio,
         "miller_time_const_eff_it_prod": value["miller_cap_ff"] * charge / ratio,
@@ -95,7 +94,8 @@ def pixel_of(file: Path, flags: dict[str, str]) -> dict[str, Any]:
 
 def renderer_of(file: Path, flags: dict[str, str]) -> dict[str, Any] | None:
     """The content of `renderer_params.npz`; None where the images were not rendered with a colour space."""
-    if flags.get("renderer_type", str(BLENDER)) != str(BLENDER):
+    blender = 4  # renderer_type whose images have a colour space
+    if flags.get("renderer_type", str(blender)) != str(blender):
         return None
     space = _number(file, flags, "blender_interm_color_space")
     if space not in (0, 1):

@@ -17,7 +17,6 @@ from pixelid.recordings.isolated import arrays_isolated
 
 BLOCK = 1 << 20  # events read together: 13 MB, and as much again while they are converted
 PROBE = 1024  # events read together to find a time
-NS_PER_US = 1000
 COLUMNS = "xytp"
 
 
@@ -46,16 +45,17 @@ def event_blocks(path: Path, begin: int, end: int) -> Iterator[dict[str, np.ndar
 
     Where `end` is before `begin`, nothing is asked but whether the file can be read.
     """
+    ns_per_us = 1000
     with interpreting(path, "columns x, y, t, p of numbers"), _columns(path) as (columns, offset):
         t = columns["t"]
         yield {"events": np.array([len(t)])}
         for column in columns.values():
             column[:1]
-        first = _first_at(t, begin // NS_PER_US - offset) if begin <= end else len(t)
+        first = _first_at(t, begin // ns_per_us - offset) if begin <= end else len(t)
         before = np.empty(0, np.int64)
         for k in range(first, len(t), BLOCK):
             some = slice(k, k + BLOCK)
-            time = (t[some].astype(np.int64) + offset) * NS_PER_US
+            time = (t[some].astype(np.int64) + offset) * ns_per_us
             _refuse_disorder(np.append(before, time), begin, end, k - len(before), path)
             if time.min() > end:  # not `time[0]`: a single late stamp among the events asked for is not their end
                 return

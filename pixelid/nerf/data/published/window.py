@@ -11,9 +11,6 @@ from pixelid.errors import InputError
 from pixelid.nerf.data.published.source import Poses
 from pixelid.nerf.data.trajectory import Trajectory
 
-# Motion capture that loses its markers leaves gaps: longer than ten usual steps, and than a hand takes to turn.
-GAP_STEPS, GAP_NS = 10.0, 100_000_000
-
 
 @dataclass(frozen=True)
 class Window:
@@ -49,7 +46,9 @@ def window_of(poses: Poses, start: float | None, end: float | None) -> Window:
     begin = zero if start is None else zero + round(start * 1e9)
     until = last if end is None else min(last, zero + round(end * 1e9))
     step = np.diff(poses.t)
-    gap = max(GAP_STEPS * float(np.median(step)), GAP_NS)
+    # Motion capture that loses its markers leaves gaps: longer than ten usual steps, and than a hand takes to turn.
+    gap_steps, gap_ns = 10.0, 100_000_000
+    gap = max(gap_steps * float(np.median(step)), gap_ns)
     edges = np.flatnonzero(step > gap)
     parts = [
         (max(int(poses.t[a]), begin), min(int(poses.t[b]), until))

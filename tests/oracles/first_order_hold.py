@@ -2,12 +2,12 @@
 
     x[k+1] = A x[k] + B u[k] + B̃ u[k+1]
 
-The fast step of `kernels.py` divides by differences of poles; here nothing does, at about a hundred times the
-cost.  It is the reference for coinciding poles, and what the tests' weighted form is made of.
+The fast step of `dynamics/kernels.py` divides by differences of poles; here nothing does, at about a hundred times
+the cost.
 
 Derivation.  With time in units of the step (λ_i: a pole × Δt, w_i: a cutoff × Δt), what state j sends to state i
 is the inverse Laplace transform at 1 of  gain · N(s) / Π (s − λ), over the poles of the stages j … i.  For N = 1
-that is the divided difference f[λ_j … λ_i] of the exponential (`divided.py`), gain Π w of the stages after j.
+that is the divided difference f[λ_j … λ_i] of the exponential (`lowlight/response.py`), gain Π w of the stages after j.
 
 Zeros.  N(s)/Π(s − λ) is expanded by dropping one pole:  (s − ν) = (s − λ_k) + (λ_k − ν).
     s (slope of y, and passage through the lower cutoff's high-pass):  f[λ∖k] + λ_k f[λ], with k the slowest pole,
@@ -30,12 +30,10 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from pixelid.dynamics.divided import difference
-from pixelid.dynamics.equations import PRESENT_BELOW, photoreceptor_rates
-from pixelid.dynamics.trajectory import STAGES, Dynamics
-from pixelid.errors import InputError
-
-PHOTORECEPTORS = ("unlimited", "one_pole", "second_order")  # named by their number of poles
+from pixelid.dynamics.continuous import present_states
+from pixelid.dynamics.equations import photoreceptor_rates
+from pixelid.dynamics.trajectory import Dynamics
+from pixelid.lowlight.response import difference
 
 
 class Hold(NamedTuple):
@@ -45,26 +43,6 @@ class Hold(NamedTuple):
     A: np.ndarray
     B: np.ndarray
     B_next: np.ndarray
-
-
-def photoreceptor_kind(dynamics: Dynamics) -> str:
-    """Which of `PHOTORECEPTORS` the dynamics have."""
-    if dynamics.beta < PRESENT_BELOW:
-        return "second_order"
-    return "one_pole" if dynamics.gamma > 0 else "unlimited"
-
-
-def present_states(dynamics: Dynamics) -> tuple[str, ...]:
-    """The names, in signal order, of the states that the dynamics have; absent stages left out."""
-    present = {
-        "photoreceptor_slope": photoreceptor_kind(dynamics) == "second_order",
-        "photoreceptor": photoreceptor_kind(dynamics) != "unlimited",
-        "source_follower": dynamics.follower < PRESENT_BELOW,
-        "extra_pole": dynamics.extra_pole < PRESENT_BELOW,
-        "lower_cutoff": dynamics.lower_cutoff > 0,
-        "differencing": dynamics.differencing < PRESENT_BELOW,
-    }
-    return tuple(name for name in STAGES if present[name])
 
 
 def rates(dynamics: Dynamics, radiance: float, names: tuple[str, ...]) -> np.ndarray:
@@ -94,13 +72,9 @@ def first_order_hold(dynamics: Dynamics, radiance: float, dt: float) -> Hold:
     differencing amplifier.  Relative error below 1e-11 for real poles and positive coefficients, down to the
     underflow; coefficients that oscillate or change sign are as accurate relative to their envelope, as far as
     float64 can hold the phase ωΔt of an oscillation.
-
-    Raises InputError for radiance ≤ 0, dt < 0, or dynamics without any pole (nothing to discretise).
     """
     names = present_states(dynamics)
     n = len(names)
-    if not radiance > 0 or not dt >= 0 or n == 0:
-        raise InputError(f"expected radiance > 0, dt ≥ 0 and at least one pole, found {radiance}, {dt}, {n} poles")
     a, b, b_next = np.empty((n, n)), np.empty(n), np.empty(n)
     fill(rates(dynamics, radiance, names), "photoreceptor_slope" in names, high_pass_index(names), dt, a, b, b_next)
     return Hold(names, a, b, b_next)
