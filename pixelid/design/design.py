@@ -12,7 +12,8 @@ from pixelid.design import criteria
 from pixelid.design.information import PIXELS, few_pixels, information, simulated
 from pixelid.design.menu import Candidate
 from pixelid.errors import InputError
-from pixelid.figures.words import in_words, stimulus
+from pixelid.figures.words import in_words
+from pixelid.figures.words import stimulus as in_short
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.shot_noise import EFFECT as SHOT_NOISE
 from pixelid.fit.uncertainty.curvature import combination
@@ -201,7 +202,7 @@ def why(names: tuple[str, ...], before: np.ndarray, after: np.ndarray, criterion
     said.append(f"The direction that gains most is {most}: {factor:.3g} times better known.")
     if len(ranking) > 1:
         best, second = ranking[0], ranking[1]
-        other = stimulus(second["name"], second.get("parameters", {}), "")
+        other = in_short(second["name"], second.get("parameters", {}), "")
         said.append(f"Its score is {best['score']:.3g} nats; the next best, {other}, reaches {second['score']:.3g}.")
         if best["score"] - second["score"] < 2 * np.hypot(best["score_error"], second["score_error"]):
             said.append("The difference lies within the error of the estimate: either will do.")
