@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +18,7 @@ from pixelid.fit.search import SearchResult
 from pixelid.fit.starts import align, match_counts, upright
 from pixelid.likelihood.pooled_rate import PooledRate
 from pixelid.model.model import Model
-from pixelid.recordings.bursts import bursts_of
+from pixelid.recordings.bursts import Bursts, bursts_of
 from pixelid.recordings.recording import Recording
 
 SCOUT_EVENTS, SCOUT_KINDS = 10_000, 6  # per recording, and kinds of pixel, that the search from afar looks at
@@ -30,13 +30,14 @@ MUCH = 2.0  # times as long as a part worth a search of its own
 ENOUGH = 1.0  # standard errors of that part: more than those of all
 DEAD_TIMES_S = (1e-5, 1e-4, 1e-3)
 OF_BOUND = (0.9, 0.5)  # of what bursts bound it by; pools of fast thresholds fire again so long after it
+READOUT = "shared_readout"
 FLUID = (
     "number of pooled pixels × thresholds: without threshold_noise counts are those of many small thresholds, and show "
     "only their ratio (pooled.pixels is a gauge)"
 )
 SHARED = (
-    "bursts show a shared readout, for which all pixels wait (`pixelid inspect`): counts then scatter more than those "
-    "of pixels that fire on their own, and a dead time may be the readout's"
+    "bursts show a shared readout, for which all pixels wait (`pixelid inspect`), and the model has none "
+    "(--with shared_readout): a dead time may be the readout's"
 )
 
 
@@ -86,6 +87,8 @@ def fit_pooled(
     start |= align(afar, model, start)
     fluid = "threshold_noise" not in model.effects
     bursts = [b for b in map(bursts_of, recordings) if b.pixels is not None]
+    model = read_out(model, bursts)
+    start |= {name: model.values[name] for name in model.values}
     sizes = {b.pixels for b in bursts}
     size = next(iter(sizes)) if len(sizes) == 1 else None
     pixels = fixed.get("pooled.pixels", None if size is None else float(size))
@@ -137,7 +140,7 @@ def fit_pooled(
     turned = [r.name for r, was in zip(recordings, stated_light, strict=True) if r is not was]
     if turned:
         caveats.append(f"{', '.join(turned)}: ON events come where the shape of the light falls: taken upside down")
-    if any(burst.silence_s is not None for burst in bursts):
+    if any(burst.cycle is not None for burst in bursts) and not model.has(READOUT):
         caveats.append(SHARED)
     if pixels is not None:
         caveats.append(f"pooled.pixels = {pixels:g} is held: as stated, or the events come in bursts of so many")
@@ -156,6 +159,15 @@ def fit_pooled(
         objective, optimum, 1 if fluid else max(round(values["pooled.pixels"]), 1), details, caveats=caveats,
         dispersion=dispersion, information=information,
     )  # fmt: skip
+
+
+def read_out(model: Model, bursts: Iterable[Bursts]) -> Model:
+    """The model whose readout has the cycle that bursts show, where it has one and they do."""
+    cycle = next((b.cycle for b in bursts if b.cycle is not None), None)
+    if cycle is None or not model.has(READOUT):
+        return model
+    shown = {"event_s": cycle.event_s, "cycle_s": cycle.cycle_s, "spread": cycle.spread}
+    return model.set({f"{READOUT}.{name}": model.parameter(f"{READOUT}.{name}").within(v) for name, v in shown.items()})
 
 
 def _poles(model: Model) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from pixelid.errors import InputError
 from pixelid.fit.judge import LARGEST_DISPERSION
-from pixelid.fit.pooled import fit_pooled
+from pixelid.fit.pooled import READOUT, fit_pooled
 from pixelid.fit.pooled_rate import PooledRateObjective
 from pixelid.gap.attribute.attribute import Attribution, Candidate, attribute
 from pixelid.gap.confirm.free_run import FreeRun, closes_nothing
@@ -38,7 +38,6 @@ from pixelid.gap.rounds import withdrawn as taken_back
 from pixelid.gap.verdict import TELLING_NATS, describe, judge
 from pixelid.model.model import Model
 from pixelid.provenance import input_hashes, versions
-from pixelid.recordings.bursts import bursts_of
 from pixelid.recordings.recording import Recording
 from pixelid.statistics import Z95
 from pixelid.stimuli.stimulus import Stimulus
@@ -141,11 +140,13 @@ def _name_effect(state: PooledState, context: Context) -> PooledState:
     winner = attribution.winner
     if winner is None:
         return replace(state, phase=Phase.CONFIRM)
-    fit = state.stretches.fit(winner.end.model, winner.end.nuisances, state.stretches.part(*TRAINING), STEPS)
-    seen = diagnose_pooled(state.stretches, state.cells, fit, options.criteria, options.seed)
+    stretches = state.stretches.near(winner.end)
+    fit = stretches.fit(winner.end.model, winner.end.nuisances, stretches.part(*TRAINING), STEPS)
+    stretches = stretches.near(fit)
+    seen = diagnose_pooled(stretches, state.cells, fit, options.criteria, options.seed)
     step = PooledStep(winner, attribution, state.seen.words)
     rounds = amended(state.rounds, -1, named=winner.effect)
-    return replace(state, fit=fit, seen=seen, steps=(*state.steps, step), rounds=rounds)
+    return replace(state, stretches=stretches, fit=fit, seen=seen, steps=(*state.steps, step), rounds=rounds)
 
 
 def _confirm(state: PooledState, context: Context) -> GapReport:
@@ -171,7 +172,7 @@ def _confirm(state: PooledState, context: Context) -> GapReport:
     effects = tuple(_named(step, state.fit, errors) for step in state.steps)
     said = judge(bool(effects), bool(doubts), remainder, None)
     term = flexible_factor(state.stretches, state.cells, state.fit)
-    shared = any(bursts_of(recording).silence_s is not None for recording in state.recordings)
+    shared = any(state.stretches.whole.cycles) and not state.fit.model.has(READOUT)
     context.report("done", 1.0)
     return GapReport(
         verdict=said,
@@ -278,7 +279,7 @@ def _describe(
         if term[0] and term[1] > TELLING_NATS:
             text += f" Rates that depend on {term[0]} gain {term[1]:.3g} nats on stretches not used to find them."
         if shared:
-            text += " Bursts show a shared readout, for which all pixels wait; no effect describes it."
+            text += " Bursts show a shared readout, for which all pixels wait; the model has none."
         listed = "; ".join(e.name for e in effects)
         return (f"Found on the way: {listed}. " if listed else "") + text
     if said == "ambiguous":  # rounds end with the first doubt: the last one named is in doubt
