@@ -275,7 +275,9 @@ class PooledRate:
         cycles, warm_up = self.cycles[i], self._warm_up(i)
         assert cycles is not None
         if circuit.polarity_memory != 0.0 or circuit.silent > circuit.refractory:
-            raise InputError("shared_readout: pooled counts do not know it with polarity_memory or a silence after events")
+            raise InputError(
+                "shared_readout: pooled counts do not know it with polarity_memory or a silence after events"
+            )
         bins = warm_up + len(self.counts[i].on)
         begun = (cycles.begun_s - self.counts[i].edges[-1]) / self._width + bins
         inside = (begun >= 0.0) & (begun < bins)

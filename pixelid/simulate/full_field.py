@@ -359,7 +359,9 @@ def _pixel_events(
             if release < np.inf:
                 if release > t1 or t1 == t0:
                     continue
-            elif _quiet(t0, t1, high[k], low[k], fade[k], drift[k], level, decay, on, off, last_event, growth, relaxing):
+            elif _quiet(
+                t0, t1, high[k], low[k], fade[k], drift[k], level, decay, on, off, last_event, growth, relaxing
+            ):
                 decay = _faded(decay, fade[k])
                 level -= drift[k]
                 continue

@@ -1,7 +1,7 @@
 """Pixels that wait for a readout they share, marched together on a fine grid; nothing of the package.
 
-All that have crossed a threshold when a cycle begins are read in it and reset; a cycle of n events lasts a + b n, give or
-take a spread, and the next begins when one waits.
+All that have crossed a threshold when a cycle begins are read in it and reset; a cycle of n events lasts a + b n, give
+or take a spread, and the next begins when one waits.
 """
 
 from __future__ import annotations
@@ -30,21 +30,20 @@ def pool(
     own = oracle.thresholds(pixel, pixels, rng)
     t, which, sign = _march(
         seen.follower, seen.amplifier, oracle.STEP_S, own, pixel.sigma, pixel.differencing, pixel.dead_s, cycle_s,
-        event_s, spread, seed,
+        event_s, spread, rng,
     )  # fmt: skip
     return np.round(t * 1e9).astype(np.int64), which, (sign > 0).astype(np.uint8)
 
 
 @njit(cache=False)
-def _march(follower, amplifier, step, own, sigma, rate, dead_s, cycle_s, event_s, spread, seed):
-    np.random.seed(seed)
+def _march(follower, amplifier, step, own, sigma, rate, dead_s, cycle_s, event_s, spread, rng):
     pixels, fade = len(own), np.exp(-rate * step)
     level, rest, release = np.empty(pixels), np.zeros(pixels), np.full(pixels, np.inf)
     waits, mine = np.zeros(pixels, np.int64), np.empty((pixels, 2))
     times, which, signs, n, free = np.empty(MOST), np.empty(MOST, np.int64), np.empty(MOST, np.int64), 0, 0.0
     for i in range(pixels):
-        mine[i, 0], mine[i, 1] = own[i] * (1.0 + sigma * np.random.randn(2))
-        level[i] = amplifier[0] + mine[i, 1] - (mine[i, 0] + mine[i, 1]) * np.random.rand()
+        mine[i, 0], mine[i, 1] = own[i] * (1.0 + sigma * rng.standard_normal(2))
+        level[i] = amplifier[0] + mine[i, 1] - (mine[i, 0] + mine[i, 1]) * rng.random()
     for k in range(len(follower)):
         now, waiting = k * step, 0
         for i in range(pixels):
@@ -52,7 +51,7 @@ def _march(follower, amplifier, step, own, sigma, rate, dead_s, cycle_s, event_s
                 if release[i] > now:
                     continue
                 release[i], level[i], rest[i] = np.inf, follower[k], amplifier[k] - follower[k]
-                mine[i, 0], mine[i, 1] = own[i] * (1.0 + sigma * np.random.randn(2))
+                mine[i, 0], mine[i, 1] = own[i] * (1.0 + sigma * rng.standard_normal(2))
             elif waits[i] == 0:
                 rest[i] *= fade
                 change = amplifier[k] - level[i] - rest[i]
@@ -63,5 +62,5 @@ def _march(follower, amplifier, step, own, sigma, rate, dead_s, cycle_s, event_s
                 if waits[i] != 0:
                     times[n], which[n], signs[n], n = now, i, waits[i], n + 1
                     waits[i], release[i] = 0, now + dead_s
-            free = now + (cycle_s + event_s * waiting) * (1.0 + spread * np.random.randn())
+            free = now + (cycle_s + event_s * waiting) * (1.0 + spread * rng.standard_normal())
     return times[:n], which[:n], signs[:n]

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pixelid import stages
 from pixelid.errors import InputError
 from pixelid.fit.judge import LARGEST_DISPERSION
 from pixelid.fit.pooled import READOUT, fit_pooled
@@ -141,7 +142,11 @@ def _name_effect(state: PooledState, context: Context) -> PooledState:
     if winner is None:
         return replace(state, phase=Phase.CONFIRM)
     stretches = state.stretches.near(winner.end)
-    fit = stretches.fit(winner.end.model, winner.end.nuisances, stretches.part(*TRAINING), STEPS)
+    part = stretches.part(*TRAINING)
+    if stages.effect(winner.effect).trades_places:
+        fit = stretches.fit_afar(winner.end.model, winner.end.nuisances, part)
+    else:
+        fit = stretches.fit(winner.end.model, winner.end.nuisances, part, STEPS)
     stretches = stretches.near(fit)
     seen = diagnose_pooled(stretches, state.cells, fit, options.criteria, options.seed)
     step = PooledStep(winner, attribution, state.seen.words)
