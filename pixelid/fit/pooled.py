@@ -29,6 +29,7 @@ SCATTER = ("threshold_sigma", "threshold_mismatch.sigma")
 MUCH = 2.0  # times as long as a part worth a search of its own
 ENOUGH = 1.0  # standard errors of that part: more than those of all
 DEAD_TIMES_S = (1e-5, 1e-4, 1e-3)
+UNITS = (10.0, 100.0, 1000.0)  # of light, times the model's
 OF_BOUND = (0.9, 0.5)  # of what bursts bound it by; pools of fast thresholds fire again so long after it
 READOUT = "shared_readout"
 FLUID = (
@@ -97,6 +98,10 @@ def fit_pooled(
     if spacings_s and "refractory_s" in stated:
         dead = model.parameter("refractory_s")
         begins += [{"refractory_s": dead.within(share * min(spacings_s))} for share in OF_BOUND]
+    if any(afar.cycles):  # the fluid limit knows no waiting, and its optimum is far
+        begins += _as_stated(
+            model, stated, any(r.stimulus is not None and r.stimulus.unit == "shape" for r in recordings)
+        )
     start |= {name: value for name, value in _counted(afar, model, start, pixels).items() if name not in fixed}
     if pixels is not None or fluid:
         nuisances["pooled.pixels"] = nuisances["pooled.pixels"].at(start["pooled.pixels"]).fixed()
@@ -159,6 +164,19 @@ def fit_pooled(
         objective, optimum, 1 if fluid else max(round(values["pooled.pixels"]), 1), details, caveats=caveats,
         dispersion=dispersion, information=information,
     )  # fmt: skip
+
+
+def _as_stated(model: Model, stated: Mapping[str, float], shaped: bool) -> list[dict[str, float]]:
+    """Points at which to start, of the model's own values; under light of unknown unit, for several units."""
+    circuit = {
+        name: model.values[name] for name in model.free if not name.startswith(("pooled.", "stimulus.", "delay"))
+    }
+    begins = []
+    for unit in UNITS if shaped else (1.0,):
+        scaled = {name: unit * circuit[name] for name in ("alpha", "gamma") if name in circuit}
+        for dead_s in (stated.get("refractory_s"), DEAD_TIMES_S[0]) if "refractory_s" in circuit else (None,):
+            begins.append({**circuit, **scaled, **({} if dead_s is None else {"refractory_s": dead_s})})
+    return begins
 
 
 def read_out(model: Model, bursts: Iterable[Bursts]) -> Model:

@@ -158,7 +158,8 @@ def cycles(t: np.ndarray, wait_ns: int) -> tuple[np.ndarray, np.ndarray]:
 def _shared(t: np.ndarray, pixels: int) -> tuple[int, float] | None:
     """(pauses longer than which, ns, part cycles of a shared readout;  `Bursts.silence_s`).
 
-    t: (n,) ns, in order.  None where silences do not grow.  A pixel is in a cycle once: under the right wait none has more than all.
+    t: (n,) ns, in order.  None where silences do not grow.  A pixel is in a cycle once: under the right wait none has
+    more than all.
     """
     found = []
     for wait in WAITS_NS:

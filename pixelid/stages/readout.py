@@ -46,7 +46,6 @@ class SharedReadout(Effect):
         Parameter("shared_readout.spread", 0.05, "1", 1e-3, 0.5, "log", free=False),
     )
     in_event_times = False
-    trades_places = True
 
     def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
         return circuit.with_(

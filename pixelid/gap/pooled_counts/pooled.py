@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pixelid import stages
 from pixelid.errors import InputError
 from pixelid.fit.judge import LARGEST_DISPERSION
 from pixelid.fit.pooled import READOUT, fit_pooled
@@ -37,6 +36,7 @@ from pixelid.gap.result import SHOWN_CELLS, GapReport, Named
 from pixelid.gap.rounds import Rounds, amended, candidate_entries, entry
 from pixelid.gap.rounds import withdrawn as taken_back
 from pixelid.gap.verdict import TELLING_NATS, describe, judge
+from pixelid.likelihood.pooled_rate import PooledRate
 from pixelid.model.model import Model
 from pixelid.provenance import input_hashes, versions
 from pixelid.recordings.recording import Recording
@@ -64,7 +64,7 @@ class PooledState:
 
     Attributes:
         phase: What comes next.
-        name: Of the model as it came.
+        stated: The model as it came.
         recordings: Cut to what is looked at.
         stretches, cells: Their counts, and ways to sort the bins.
         base, fit: The base model and the model so far, on the training stretches.
@@ -73,7 +73,7 @@ class PooledState:
     """
 
     phase: Phase
-    name: str
+    stated: Model
     recordings: tuple[Recording, ...]
     stretches: Stretches
     cells: tuple[Cells, ...]
@@ -122,7 +122,7 @@ def _begin(recordings: Sequence[Recording], model: Model, context: Context) -> P
     base = stretches.fit(fitted, nuisances, stretches.part(*TRAINING), STEPS)
     cells = tuple(sort_bins(stretches, base))
     first = diagnose_pooled(stretches, cells, base, options.criteria, options.seed)
-    return PooledState(Phase.NAME, model.name, shortened, stretches, cells, base, base, first, first)
+    return PooledState(Phase.NAME, model, shortened, stretches, cells, base, base, first, first)
 
 
 def _name_effect(state: PooledState, context: Context) -> PooledState:
@@ -143,8 +143,8 @@ def _name_effect(state: PooledState, context: Context) -> PooledState:
         return replace(state, phase=Phase.CONFIRM)
     stretches = state.stretches.near(winner.end)
     part = stretches.part(*TRAINING)
-    if stages.effect(winner.effect).trades_places:
-        fit = stretches.fit_afar(winner.end.model, winner.end.nuisances, part)
+    if winner.effect == READOUT:  # for which other parameters had stood in
+        fit = _fitted_anew(state, winner.effect, stretches, part)
     else:
         fit = stretches.fit(winner.end.model, winner.end.nuisances, part, STEPS)
     stretches = stretches.near(fit)
@@ -152,6 +152,16 @@ def _name_effect(state: PooledState, context: Context) -> PooledState:
     step = PooledStep(winner, attribution, state.seen.words)
     rounds = amended(state.rounds, -1, named=winner.effect)
     return replace(state, stretches=stretches, fit=fit, seen=seen, steps=(*state.steps, step), rounds=rounds)
+
+
+def _fitted_anew(state: PooledState, effect: str, stretches: Stretches, part: PooledRate) -> Fitted:
+    """The model as it came with an effect, and those named before, fitted as the base model was."""
+    grown = state.stated
+    for name in (*(step.winner.effect for step in state.steps), effect):
+        grown = grown.with_effect(name)
+    found = fit_pooled(state.recordings, grown, {}, lambda what, share: None)
+    coordinates, x = found.objective.coordinates, found.optimum.x
+    return stretches.fit(coordinates.model_at(x), coordinates.nuisances_at(x), part, STEPS)
 
 
 def _confirm(state: PooledState, context: Context) -> GapReport:
@@ -189,7 +199,7 @@ def _confirm(state: PooledState, context: Context) -> GapReport:
         free_run=run,
         rounds=state.rounds,
         base=state.base.model,
-        model=replace(state.fit.model, name=f"{state.name}_grown") if effects else state.base.model,
+        model=replace(state.fit.model, name=f"{state.stated.name}_grown") if effects else state.base.model,
         term=None,
         recommended_next={
             "why": "events with pixel addresses, under known light: pooled counts show the pixels of a pool together",

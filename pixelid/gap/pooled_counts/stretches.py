@@ -17,7 +17,6 @@ from pixelid.errors import InputError
 from pixelid.fit import newton
 from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.pooled_rate import PooledRateObjective, simulated
-from pixelid.fit.pooled_search import in_rounds
 from pixelid.gap.confirm.free_run import RESAMPLES, FreeRun
 from pixelid.gap.criteria import Criteria
 from pixelid.gap.detect.covariates import POLARITY
@@ -32,7 +31,6 @@ ROLES = (25, 15, 20)  # of them: to fit, to select, to confirm
 SINCE_S = (0.0, 1e-4, 2e-4, 3.5e-4, 6e-4, 1e-3, 2e-3, 5e-3, np.inf)  # slices of the time since the light jumped
 MIN_JUMP = 0.05  # change of ln L from one sample to the next that counts as a jump: a quarter of a usual threshold
 TIMES = 8  # slices of a recording
-AFAR_BLURS = (0.2, 0.0, 0.0)  # of thresholds, round by round
 POOLS = 16  # simulated: chance to a fifth
 FINER = 4  # parts of a stretch, of which each is a unit for slices of a recording: these have few stretches each
 LEVELS = 4  # of ln L, as many bins in each
@@ -101,12 +99,6 @@ class Stretches:
         end = newton.maximise(
             objective, objective.coordinates.start, tolerance=0.1 * self.dispersion, max_steps=steps
         )  # fmt: skip
-        return self._fitted(objective.coordinates, end.x, likelihood)
-
-    def fit_afar(self, model: Model, nuisances: Mapping[str, float], likelihood: PooledRate) -> Fitted:
-        """The same where the optimum may be far, as after an effect that took the place of what others did."""
-        objective = PooledRateObjective(likelihood, self._coordinates(model, nuisances))
-        _, end = in_rounds(objective, objective.coordinates.start, 1.0, AFAR_BLURS, lambda part: None)
         return self._fitted(objective.coordinates, end.x, likelihood)
 
     def _coordinates(self, model: Model, nuisances: Mapping[str, float]) -> Coordinates:
