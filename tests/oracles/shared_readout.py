@@ -12,6 +12,7 @@ from numba import njit
 from tests.oracles import whole_pixel as oracle
 
 MOST = 2_000_000
+FINER = 5  # steps per step of the signals: a cycle begins at the end of one
 
 
 def pool(
@@ -28,8 +29,11 @@ def pool(
     seen = oracle.signals(pixel, light, seconds)
     rng = np.random.default_rng(seed)
     own = oracle.thresholds(pixel, pixels, rng)
+    coarse = np.arange(len(seen.follower)) * oracle.STEP_S
+    fine = np.arange((len(coarse) - 1) * FINER + 1) * (oracle.STEP_S / FINER)
+    follower, amplifier = np.interp(fine, coarse, seen.follower), np.interp(fine, coarse, seen.amplifier)
     t, which, sign = _march(
-        seen.follower, seen.amplifier, oracle.STEP_S, own, pixel.sigma, pixel.differencing, pixel.dead_s, cycle_s,
+        follower, amplifier, oracle.STEP_S / FINER, own, pixel.sigma, pixel.differencing, pixel.dead_s, cycle_s,
         event_s, spread, rng,
     )  # fmt: skip
     return np.round(t * 1e9).astype(np.int64), which, (sign > 0).astype(np.uint8)
