@@ -85,7 +85,8 @@ def binned(recording: Recording, bin_s: float, first_s: float, read: Read | None
     assert recording.stimulus is not None
     t = recording.events.t * 1e-9 if read is None else np.repeat(read.begun_s, read.size)
     cut = kept_of(recording).time_s or (-math.inf, math.inf)
-    start = max(_first_change_s(recording.stimulus), cut[0])
+    light = recording.stimulus
+    start = max(_first_change_s(light) if isinstance(light, Stimulus) else light.start_s, cut[0])
     end = min(recording.stimulus.end_s, cut[1], start + first_s)
     n = max(int((end - start) / bin_s), 1)
     edges = start + bin_s * np.arange(n + 1)
