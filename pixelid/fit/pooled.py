@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +18,7 @@ from pixelid.fit.search import SearchResult
 from pixelid.fit.starts import align, match_counts, upright
 from pixelid.likelihood.pooled_rate import PooledRate
 from pixelid.model.model import Model
-from pixelid.recordings.bursts import bursts_of
+from pixelid.recordings.bursts import Bursts, bursts_of
 from pixelid.recordings.recording import Recording
 
 SCOUT_EVENTS, SCOUT_KINDS = 10_000, 6  # per recording, and kinds of pixel, that the search from afar looks at
@@ -29,14 +29,16 @@ SCATTER = ("threshold_sigma", "threshold_mismatch.sigma")
 MUCH = 2.0  # times as long as a part worth a search of its own
 ENOUGH = 1.0  # standard errors of that part: more than those of all
 DEAD_TIMES_S = (1e-5, 1e-4, 1e-3)
+UNITS = (10.0, 100.0, 1000.0)  # of light, times the model's
 OF_BOUND = (0.9, 0.5)  # of what bursts bound it by; pools of fast thresholds fire again so long after it
+READOUT = "shared_readout"
 FLUID = (
     "number of pooled pixels × thresholds: without threshold_noise counts are those of many small thresholds, and show "
     "only their ratio (pooled.pixels is a gauge)"
 )
 SHARED = (
-    "bursts show a shared readout, for which all pixels wait (`pixelid inspect`): counts then scatter more than those "
-    "of pixels that fire on their own, and a dead time may be the readout's"
+    "bursts show a shared readout, for which all pixels wait (`pixelid inspect`), and the model has none "
+    "(--with shared_readout): a dead time may be the readout's"
 )
 
 
@@ -86,6 +88,8 @@ def fit_pooled(
     start |= align(afar, model, start)
     fluid = "threshold_noise" not in model.effects
     bursts = [b for b in map(bursts_of, recordings) if b.pixels is not None]
+    model = read_out(model, bursts)
+    start |= {name: model.values[name] for name in model.values}
     sizes = {b.pixels for b in bursts}
     size = next(iter(sizes)) if len(sizes) == 1 else None
     pixels = fixed.get("pooled.pixels", None if size is None else float(size))
@@ -94,6 +98,10 @@ def fit_pooled(
     if spacings_s and "refractory_s" in stated:
         dead = model.parameter("refractory_s")
         begins += [{"refractory_s": dead.within(share * min(spacings_s))} for share in OF_BOUND]
+    if any(afar.cycles):  # the fluid limit knows no waiting, and its optimum is far
+        begins += _as_stated(
+            model, stated, any(r.stimulus is not None and r.stimulus.unit == "shape" for r in recordings)
+        )
     start |= {name: value for name, value in _counted(afar, model, start, pixels).items() if name not in fixed}
     if pixels is not None or fluid:
         nuisances["pooled.pixels"] = nuisances["pooled.pixels"].at(start["pooled.pixels"]).fixed()
@@ -137,7 +145,7 @@ def fit_pooled(
     turned = [r.name for r, was in zip(recordings, stated_light, strict=True) if r is not was]
     if turned:
         caveats.append(f"{', '.join(turned)}: ON events come where the shape of the light falls: taken upside down")
-    if any(burst.silence_s is not None for burst in bursts):
+    if any(burst.cycle is not None for burst in bursts) and not model.has(READOUT):
         caveats.append(SHARED)
     if pixels is not None:
         caveats.append(f"pooled.pixels = {pixels:g} is held: as stated, or the events come in bursts of so many")
@@ -156,6 +164,28 @@ def fit_pooled(
         objective, optimum, 1 if fluid else max(round(values["pooled.pixels"]), 1), details, caveats=caveats,
         dispersion=dispersion, information=information,
     )  # fmt: skip
+
+
+def _as_stated(model: Model, stated: Mapping[str, float], shaped: bool) -> list[dict[str, float]]:
+    """Points at which to start, of the model's own values; under light of unknown unit, for several units."""
+    circuit = {
+        name: model.values[name] for name in model.free if not name.startswith(("pooled.", "stimulus.", "delay"))
+    }
+    begins = []
+    for unit in UNITS if shaped else (1.0,):
+        scaled = {name: unit * circuit[name] for name in ("alpha", "gamma") if name in circuit}
+        for dead_s in (stated.get("refractory_s"), DEAD_TIMES_S[0]) if "refractory_s" in circuit else (None,):
+            begins.append({**circuit, **scaled, **({} if dead_s is None else {"refractory_s": dead_s})})
+    return begins
+
+
+def read_out(model: Model, bursts: Iterable[Bursts]) -> Model:
+    """The model whose readout has the cycle that bursts show, where it has one and they do."""
+    cycle = next((b.cycle for b in bursts if b.cycle is not None), None)
+    if cycle is None or not model.has(READOUT):
+        return model
+    shown = {"event_s": cycle.event_s, "cycle_s": cycle.cycle_s, "spread": cycle.spread}
+    return model.set({f"{READOUT}.{name}": model.parameter(f"{READOUT}.{name}").within(v) for name, v in shown.items()})
 
 
 def _poles(model: Model) -> tuple[str, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from copy import copy
 
 import numpy as np
@@ -10,9 +11,7 @@ from pixelid.fit.coordinates import Coordinates
 from pixelid.fit.objective import Local, Objective
 from pixelid.likelihood.pooled_rate import PooledRate
 from pixelid.model.model import Model
-from pixelid.recordings.recording import Recording
 from pixelid.simulate.simulator import simulate
-from pixelid.stages.circuit import Circuit
 from pixelid.stimuli.stimulus import Stimulus
 
 STEP = 1e-3  # of a difference in fitting coordinates: counts are smooth over it, and their rounding drowns in it
@@ -129,10 +128,15 @@ class PooledRateObjective(Objective):
         where bursts are narrow, and is subtracted (simulated scores: Gouriéroux, Monfort & Renault 1993, Journal of
         Applied Econometrics 8, S85).
 
+        Where cycles of a readout are given, counts are expected from all that came before, and what is unexpected is
+        independent: the score scatters as its curvature says.
+
         Returns:
             (d, d) inverse of the covariance of estimates, A B⁻¹ A of the score's curvature A and its variance B, and
             (d,) mean of the score; 0 where one arbiter queues the events of pixels, which are simulated without.
         """
+        if any(cycles is not None for cycles in self.likelihood.cycles):
+            return local.information, np.zeros(len(x))
         at_x = self.expected(x)
         kept = self.likelihood.kept
         weight = 1.0 / (self.likelihood.ratio * at_x)
@@ -157,28 +161,27 @@ class PooledRateObjective(Objective):
 
 def _scores(likelihood: PooledRate, i: int, model: Model, values: dict, per_count: np.ndarray, seed: int) -> np.ndarray:
     """(d, pixels) what each simulated pixel adds to the score through recording i."""
-    counts, recording = likelihood.counts[i], likelihood.recordings[i]
-    stimulus = recording.stimulus
+    counts = likelihood.counts[i]
+    events = (counts.on.sum() + counts.off.sum()) / values["pooled.pixels"]
+    pixels = int(np.clip(REPLICATE_EVENTS / max(events, 1.0), LEAST_PIXELS, MOST_PIXELS))
+    model = model.without_effect("readout_latency") if model.has("readout_latency") else model
+    bins, which = simulated(likelihood, i, model, values, pixels, seed)
+    return np.stack([np.bincount(which, row[bins], pixels) for row in per_count])
+
+
+def simulated(
+    likelihood: PooledRate, i: int, model: Model, values: Mapping[str, float], pixels: int, seed: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """(bin, pixel) of each event of pixels simulated under the light of recording i; ON bins, then OFF."""
+    edges, stimulus = likelihood.counts[i].edges, likelihood.recordings[i].stimulus
     assert isinstance(stimulus, Stimulus)
     if stimulus.unit == "shape":
         light = values["stimulus.offset"] + values["stimulus.gain"] * stimulus.radiance
         stimulus = Stimulus(stimulus.t, light, "relative", stimulus.interpolation)
-    stimulus = stimulus.until(min(float(counts.edges[-1]), stimulus.end_s))
-    events = (counts.on.sum() + counts.off.sum()) / values["pooled.pixels"]
-    pixels = int(np.clip(REPLICATE_EVENTS / max(events, 1.0), LEAST_PIXELS, MOST_PIXELS))
-    model = model.without_effect("readout_latency") if model.has("readout_latency") else model
+    stimulus = stimulus.until(min(float(edges[-1]), stimulus.end_s))
     run = simulate(model.set({"delay_s": 0.0}), stimulus, width=pixels, height=1, seed=seed)  # `on_recording` has it
-    return _of_pixels(run, likelihood, i, values, per_count, pixels, model.circuit())
-
-
-def _of_pixels(
-    run: Recording, likelihood: PooledRate, i: int, values: dict, per_count: np.ndarray, pixels: int, circuit: Circuit
-) -> np.ndarray:
-    edges = likelihood.counts[i].edges
     n = len(edges) - 1
-    t = likelihood.on_recording(i, run.events.t * 1e-9, values, circuit)
+    t = likelihood.on_recording(i, run.events.t * 1e-9, values, model.circuit())
     index = np.floor((t - edges[0]) / (edges[1] - edges[0])).astype(np.int64)
     inside = (index >= 0) & (index < n)
-    bins = index[inside] + np.where(run.events.p[inside] == 1, 0, n)
-    which = run.events.x[inside]
-    return np.stack([np.bincount(which, row[bins], pixels) for row in per_count])
+    return index[inside] + np.where(run.events.p[inside] == 1, 0, n), run.events.x[inside]

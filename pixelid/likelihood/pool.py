@@ -86,13 +86,14 @@ class Comparator(NamedTuple):
     rate: float
 
 
-def divide(level: np.ndarray, output: np.ndarray, noise: float, rate: float) -> np.ndarray:
+def divide(level: np.ndarray, output: np.ndarray, noise: float, rate: float, longest: float = 1.0) -> np.ndarray:
     """(bins,) steps of each bin, from the signals at the edges of bins (bins + 1,).
 
     Args:
         level, output: as in `Signals`, at the edges.
         noise: standard deviation of thresholds, log radiance.
         rate: as in `Comparator`.
+        longest: step, in bins.
     """
     speed = np.maximum(np.abs(np.diff(level)), np.abs(np.diff(output)))
     padded = np.pad(speed, 1, mode="edge")  # a bin in which the light jumps is slow itself
@@ -100,7 +101,7 @@ def divide(level: np.ndarray, output: np.ndarray, noise: float, rate: float) -> 
     by_change = speed / (STEP_SD * noise)
     # What is left of a reset, speed/rate, bends within a step; less than so much cannot.
     by_reset = np.where(speed > RESET_SD * noise * rate, np.sqrt(speed * rate / (8.0 * RESET_SD * noise)), 1.0)
-    wanted = np.clip(np.maximum(by_change, by_reset), 1.0, MOST_STEPS)
+    wanted = np.clip(np.maximum(by_change, by_reset), 1.0 / longest, MOST_STEPS)
     return (2 ** np.ceil(np.log2(wanted))).astype(np.int64)
 
 
@@ -198,7 +199,7 @@ def _cubic(x, begin, end, a, b):
 
 
 @njit(inline="always")
-def _above(z):
+def above(z):
     """(1 − Φ(z), φ(z)) of a standard normal that ends at ±REACH."""
     if z <= EDGE - REACH:
         return 1.0, 0.0
@@ -290,14 +291,14 @@ def _cohort(
     now = begin
     highest, lowest = max(begin, on_zone), max(-begin, off_zone)
     on_z, off_z = (highest - on) / on_sd, (lowest - off) / off_sd
-    on_left, on_density = _above(on_z)
-    off_left, off_density = _above(off_z)
+    on_left, on_density = above(on_z)
+    off_left, off_density = above(off_z)
     share /= max(on_left * off_left, 1e-3)  # no threshold is below where the change begins
     if not first and comparator.blind > 0.0:  # what has been crossed meanwhile fires at once
         now = output[k] + x * (output[k + 1] - output[k]) - level - left
         on_z, off_z = (now - on) / on_sd, (-now - off) / off_sd
-        on_left, on_density = _above(on_z)
-        off_left, off_density = _above(off_z)
+        on_left, on_density = above(on_z)
+        off_left, off_density = above(off_z)
         highest, lowest = max(now, on_zone), max(-now, off_zone)
         for polarity in range(2):
             at_once, before = (1.0 - on_left, on_before) if polarity == 0 else (1.0 - off_left, off_before)
@@ -321,7 +322,7 @@ def _cohort(
         after = output[k + 1] - level - left
         if after > highest:
             z = (after - on) / on_sd
-            survivors, density = _above(z)
+            survivors, density = above(z)
             if survivors < on_left:
                 _crossed(
                     shared, comparator, events, twice, waiting, 0, j, k, x, now, after, share * off_left,
@@ -331,7 +332,7 @@ def _cohort(
             highest, on_z, on_left, on_density = after, z, survivors, density
         elif -after > lowest:
             z = (-after - off) / off_sd
-            survivors, density = _above(z)
+            survivors, density = above(z)
             if survivors < off_left:
                 _crossed(
                     shared, comparator, events, twice, waiting, 1, j, k, x, -now, -after, share * on_left,

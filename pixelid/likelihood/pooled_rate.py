@@ -2,7 +2,10 @@
 
 The expected count of a bin is N times that of one pixel (`likelihood/pool.py`: dead time, thresholds and their noise),
 averaged over the kinds of pixel in the pool (`kinds_of`: mismatch, spread of light), queued where one arbiter serves
-them all, plus a background b per polarity.  In the limit of many small thresholds and no dead time that is the fluid
+them all, plus a background b per polarity.  A readout that takes all pixels that wait in one cycle makes them wait for
+each other: when cycles began and how many events each had is taken from what came before (`likelihood/pool.py`).  The
+end of the one under way is known to its spread only, so those that wait fall into one bin or the next all together,
+which adds to the variance.  In the limit of many small thresholds and no dead time that is the fluid
 rate
 
     λ_on = N max(ẏ, 0)/C_on        λ_off = N max(−ẏ, 0)/C_off
@@ -18,12 +21,12 @@ the same measure.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import gammaln
+from scipy.special import gammaln, ndtr
 
 from pixelid.dynamics.of_circuit import dynamics_of
 from pixelid.dynamics.slew import slews, without_slew_limit
@@ -33,8 +36,10 @@ from pixelid.errors import InputError
 from pixelid.likelihood.clocks import clock_in
 from pixelid.likelihood.pool import Comparator, divide, flow, places, queued, signals
 from pixelid.likelihood.pool_kinds import KINDS, Kind, kinds_of, lights_of
+from pixelid.likelihood.pool_read import Cycles, Pool, read_flow
 from pixelid.parallel import map_threads
 from pixelid.parameters.parameter import Parameter
+from pixelid.recordings.bursts import bursts_of, cycles
 from pixelid.recordings.kept import kept_of
 from pixelid.recordings.recording import Recording
 from pixelid.stages.circuit import Circuit
@@ -49,6 +54,8 @@ MOST_BINS = 2_000_000  # a few hundred MB with their derivatives
 LEAST_RATIO = 0.05
 ROUGH, ROUGH_KINDS = 3.0, 6  # steps so much longer, and kinds of pixel, where derivatives are taken
 LEAST_VARIANCE = 1e-4  # of a bin, per pixel: no threshold is normal so far out in its tail
+LONGEST_BETWEEN_CYCLES = 0.5  # step, in bins
+FAR = 5.0  # standard deviations from its expected end that a cycle may end
 LEAST_EVENTS = 100  # fewer tell a rate to no better than 10 %
 
 
@@ -61,12 +68,25 @@ class Counts:
     off: np.ndarray
 
 
-def binned(recording: Recording, bin_s: float, first_s: float) -> Counts:
-    """Counts per bin over the first seconds that both events and stimulus cover, and that a cut has left."""
+@dataclass(frozen=True)
+class Read:
+    """The cycles of a shared readout in one recording.  begun_s: (cycles,) first stamps;  size: (cycles,) events"""
+
+    begun_s: np.ndarray
+    size: np.ndarray
+
+
+def binned(recording: Recording, bin_s: float, first_s: float, read: Read | None = None) -> Counts:
+    """Counts per bin over the first seconds that both events and stimulus cover, and that a cut has left.
+
+    Before the light first changes a pixel at rest is silent, and what comes is of a light before: it is not counted.
+    read: by a shared readout, whose events count when their cycle begins: it stamps them row by row
+    """
     assert recording.stimulus is not None
-    t = recording.events.t * 1e-9
+    t = recording.events.t * 1e-9 if read is None else np.repeat(read.begun_s, read.size)
     cut = kept_of(recording).time_s or (-math.inf, math.inf)
-    start = max(recording.stimulus.start_s, cut[0])
+    light = recording.stimulus
+    start = max(_first_change_s(light) if isinstance(light, Stimulus) else light.start_s, cut[0])
     end = min(recording.stimulus.end_s, cut[1], start + first_s)
     n = max(int((end - start) / bin_s), 1)
     edges = start + bin_s * np.arange(n + 1)
@@ -96,6 +116,7 @@ class PooledRate:
     Attributes:
         observed: (bins,) counts, per recording ON then OFF.
         kept: (bins,) bool, those that count: all, but of `of_bins`.
+        cycles: Per recording those of a shared readout; None where its events show none.
         ratio: (bins,) variance over mean of counts: 1, but of `near`.
         rough: The same with longer steps and fewer kinds of pixel, for derivatives; None, but of `near`.
         steps: Per recording (bins,) steps of the forward pass, but for a new likelihood: then they suit each model.
@@ -117,7 +138,11 @@ class PooledRate:
                 raise InputError(f"{recording.name}: the pooled fit needs a full-field stimulus")
             if min(recording.stimulus.duration_s, first_s) / bin_s > MOST_BINS:
                 raise InputError(f"{recording.name}: more than {MOST_BINS} bins of {bin_s:g} s; use wider bins")
-        self.counts = tuple(binned(recording, bin_s, first_s) for recording in self.recordings)
+        self.cycles = tuple(map(_cycles_of, self.recordings))
+        self.counts = tuple(
+            binned(recording, bin_s, first_s, read)
+            for recording, read in zip(self.recordings, self.cycles, strict=True)
+        )
         self.observed = np.concatenate([np.concatenate([c.on, c.off]) for c in self.counts])
         if self.observed.sum() < LEAST_EVENTS:
             raise InputError(f"fewer than {LEAST_EVENTS} events during the stimulus: nothing to fit")
@@ -226,6 +251,8 @@ class PooledRate:
             noise = math.hypot(circuit.noise, circuit.mismatch, self._blur)
             circuit = replace(circuit, noise=noise, mismatch=0.0)
         kinds = kinds_of(circuit, self._kinds)
+        if self.cycles[i] is not None:
+            return self._read_moments(i, circuit, values, kinds, places(steps))
         shared = {
             light: signals(steps, *self._at(i, self._trajectory(i, circuit, values, light), times, circuit, values))
             for light in {kind.light for kind in kinds}
@@ -242,13 +269,60 @@ class PooledRate:
         background = self.background(i, values).reshape(2, -1)
         return pixels * mean + background, pixels * variance + background
 
+    def _read_moments(
+        self, i: int, circuit: Circuit, values: Mapping[str, float], kinds: Sequence[Kind], place: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """As `_moments`, of pixels that share a readout; place: (n + 1,) times in bins, of which more are made."""
+        cycles, warm_up = self.cycles[i], self._warm_up(i)
+        assert cycles is not None
+        if circuit.polarity_memory != 0.0 or circuit.silent > circuit.refractory:
+            raise InputError(
+                "shared_readout: pooled counts do not know it with polarity_memory or a silence after events"
+            )
+        bins = warm_up + len(self.counts[i].on)
+        begun = (cycles.begun_s - self.counts[i].edges[-1]) / self._width + bins
+        inside = (begun >= 0.0) & (begun < bins)
+        begun, size = begun[inside], cycles.size[inside].astype(float)
+        lasts = (circuit.per_cycle + circuit.per_event * size) / self._width
+        released = begun + circuit.refractory / self._width
+        place = np.unique(np.concatenate([place, begun, released[released < bins]]))
+        times = self.counts[i].edges[0] + self._width * (place - warm_up)
+        lights = sorted({kind.light for kind in kinds})
+        seen = [self._at(i, self._trajectory(i, circuit, values, light), times, circuit, values) for light in lights]
+        level, output = (np.ascontiguousarray(part) for part in np.stack(seen, axis=1))
+        pixels, background = values["pooled.pixels"], self.background(i, values).reshape(2, -1)
+        pool = Pool(
+            np.array([circuit.on_threshold * kind.on for kind in kinds]),
+            np.array([circuit.off_threshold * kind.off for kind in kinds]),
+            np.array([kind.share for kind in kinds]),
+            np.array([lights.index(kind.light) for kind in kinds]),
+            float(circuit.noise), float(circuit.threshold_drift * self._width),
+            float(min(circuit.differencing * self._width, 1e9)), float(pixels), float(background[:, 0].sum()),
+        )  # fmt: skip
+        read = Cycles(
+            np.searchsorted(place, begun), np.searchsorted(place, np.minimum(released, bins)), begun + lasts, size
+        )
+        events, held = read_flow(place, level, output, pool, read)
+        kept, at_once = 1.0 - circuit.lost, np.minimum(place[:-1].astype(np.int64), bins - 1)
+        mean = np.stack([np.bincount(at_once, kept * part, bins) for part in events])
+        less, together = np.zeros_like(mean), np.zeros_like(mean)
+        for at, chance in _falls(read.ends, circuit.cycle_spread * lasts, bins):
+            for polarity in (0, 1):
+                part = kept * held[polarity] * chance
+                mean[polarity] += np.bincount(at, part, bins)
+                less[polarity] += np.bincount(at, part**2, bins)
+                together[polarity] += np.bincount(at, (kept * held[polarity]) ** 2 * chance * (1.0 - chance), bins)
+        mean, variance = mean[:, warm_up:], (mean - less + max(pixels - 1.0, 0.0) * together)[:, warm_up:]
+        return pixels * mean + background, pixels * np.maximum(variance, 0.0) + background
+
     def _fluid_moments(self, i: int, circuit: Circuit, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
         """As `_moments`: changes in thresholds, thinned by the dead time of those in the same bin."""
         mean = self.background(i, values).reshape(2, -1).copy()
         for light, share in lights_of(circuit):
             change = np.diff(self.output(i, circuit, values, light))
             on, off = np.maximum(change, 0.0) / circuit.on_threshold, np.maximum(-change, 0.0) / circuit.off_threshold
-            thinned = share * values["pooled.pixels"] / (1.0 + circuit.refractory * (on + off) / self._width)
+            dead = circuit.refractory + circuit.per_cycle + circuit.per_event * values["pooled.pixels"]
+            thinned = share * values["pooled.pixels"] / (1.0 + dead * (on + off) / self._width)
             mean += np.stack([thinned * on, thinned * off])
         return mean, mean
 
@@ -276,7 +350,8 @@ class PooledRate:
         noise = min(circuit.on_threshold, circuit.off_threshold) * max(
             math.hypot(circuit.noise, circuit.mismatch, self._blur), 1e-2
         )
-        return divide(level, output, self._coarse * noise, min(circuit.differencing * self._width, 1e9))
+        longest = 1.0 if self.cycles[i] is None else LONGEST_BETWEEN_CYCLES
+        return divide(level, output, self._coarse * noise, min(circuit.differencing * self._width, 1e9), longest)
 
     def _trajectory(self, i: int, circuit: Circuit, values: Mapping[str, float], brighter: float = 1.0) -> Trajectory:
         """The signals of recording i under a light so many times as bright."""
@@ -372,6 +447,39 @@ class PooledRate:
         off, variance = np.bincount(cell, off), np.bincount(cell, variance)
         whole = variance >= 0.5
         return float(np.mean(off[whole] ** 2 / variance[whole])) if whole.any() else 1.0
+
+
+def _first_change_s(light: Stimulus) -> float:
+    """When light that stays from sample to sample first changes; its beginning, of other light."""
+    change = np.flatnonzero(np.diff(light.radiance))
+    held = light.interpolation == "previous" and len(change) > 0
+    return float(light.t[change[0] + 1]) if held else light.start_s
+
+
+def _cycles_of(recording: Recording) -> Read | None:
+    """What the events of a recording show of a shared readout; None where they show none."""
+    bursts = bursts_of(recording)
+    if bursts.cycle is None:
+        return None
+    begun, size = cycles(recording.events.t, bursts.wait_ns)
+    return Read(begun * 1e-9, size)
+
+
+def _falls(ends: np.ndarray, spread: np.ndarray, bins: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """(bin, chance to end there), (cycles,) each, for every bin about the one where a cycle is expected to end.
+
+    ends, spread: (cycles,) in bins, of a normal distribution
+    """
+    if not len(ends):
+        return
+    at = np.floor(ends)
+    reach = math.ceil(FAR * float(spread.max())) + 1
+    spread = np.maximum(spread, 1e-9)
+    below = ndtr((at - reach - ends) / spread)
+    for step in range(-reach, reach + 1):
+        above = ndtr((at + step + 1 - ends) / spread)
+        yield np.clip(at + step, 0, bins - 1).astype(np.int64), above - below
+        below = above
 
 
 def delay_name(recordings: Sequence[Recording], i: int) -> str:

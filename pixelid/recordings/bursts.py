@@ -30,7 +30,20 @@ MOST_EVENTS = 4_000_000  # looked at
 LEAST_PIXELS, LEAST_BURSTS = 4, 20
 MORE = 1.1  # times N: so much noise is in few stretches, or pixels that N lacks
 SMALL, LARGE = (0.125, 0.25), (0.5, 1.0)  # of N: bursts whose silences are compared
-SELDOM = 0.1  # of silences are shorter than the one compared, of pauses in full bursts longer than the one that cuts
+SELDOM = 0.1  # of silences are shorter than the one compared
+NEARLY = 0.9  # of the most full cycles that any wait parts: a longer one joins small cycles
+BEYOND = 0.02  # cycles of more than all pixels, per full one: noise
+IQR = 1.349  # of a normal distribution, in standard deviations
+GROWS = 2.0  # times as long after large bursts: without a shared readout neither is longer than the wait that cuts
+
+
+@dataclass(frozen=True)
+class Cycle:
+    """How long a shared readout is busy: a cycle of n events `cycle_s` + n `event_s`, give or take `spread` of it."""
+
+    cycle_s: float
+    event_s: float
+    spread: float
 
 
 @dataclass(frozen=True)
@@ -42,6 +55,7 @@ class Bursts:
     row: events with one time stamp within full bursts, None where they have stamps of their own
     silence_s: nine in ten silences after bursts of half to all but one of the pixels are longer, where silences grow
         with bursts as those of a shared readout do; else None
+    wait_ns: longer pauses part its cycles;  cycle: how long one lasts, None where silences do not grow
     """
 
     pixels: int | None
@@ -51,6 +65,8 @@ class Bursts:
     spacing_s: float | None = None
     row: int | None = None
     silence_s: float | None = None
+    wait_ns: int = 0
+    cycle: Cycle | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """The entry in inspect.json."""
@@ -104,22 +120,19 @@ def find_bursts(t: np.ndarray, p: np.ndarray) -> Bursts:
     enough = nested * max(events for _, events, _ in found)
     pixels, _, parts = max((one for one in found if one[1] >= enough), key=lambda one: one[:2])
     full = 0
-    lengths, pauses, grouped = [], [], np.zeros(pixels + 1)
+    lengths, grouped = [], np.zeros(pixels + 1)
     for polarity, (first, last, size) in enumerate(parts):
         times = t[p == polarity]
         whole = size == pixels
         full, begin = full + int(whole.sum()), times[first]
         lengths.append((times[last] - begin)[whole])
-        if whole.any():
-            steps = np.append(np.diff(times), 0)
-            steps[last] = 0  # the silence after a burst
-            pauses.append(np.maximum.reduceat(steps, first)[whole])
         within = np.repeat(whole, size)
         stamps = times[within] * 1.0
         change = np.flatnonzero(np.diff(stamps) != 0)
         runs = np.diff(np.concatenate([[-1], change, [len(stamps) - 1]]))
         grouped += np.bincount(np.minimum(runs, pixels), minlength=pixels + 1) * np.arange(pixels + 1)
     more = math.ceil(MORE * pixels)
+    shared = _shared(t, pixels)
     length, spacing = np.concatenate(lengths), t[more:] - t[:-more]
     row = int(np.argmax(grouped))
     shortest = 0.01  # of the times that so many events take: a window with more noise is chance
@@ -131,20 +144,54 @@ def find_bursts(t: np.ndarray, p: np.ndarray) -> Bursts:
         float(np.median(length)) * 1e-9,
         float(np.quantile(spacing, shortest)) * 1e-9 if len(spacing) else None,
         row if 1 < row < pixels and grouped[row] > row_share * grouped.sum() else None,
-        _shared_silence_s(t, pixels, int(np.quantile(np.concatenate(pauses), 1.0 - SELDOM))),
+        *((None, 0, None) if shared is None else (shared[1], shared[0], _cycle(t, pixels, shared[0]))),
     )
 
 
-def _shared_silence_s(t: np.ndarray, pixels: int, wait_ns: int) -> float | None:
-    """As `Bursts.silence_s`, of times t (n,) ns in order, of either polarity."""
-    first, last, size = _cut(t, wait_ns)
-    silence, size = t[first[1:]] - t[last[:-1]], size[:-1]
-    groups = [silence[(size >= low * pixels) & (size < high * pixels)] for low, high in (SMALL, LARGE)]
-    if min(map(len, groups)) < LEAST_BURSTS:
-        return None
-    after_small, after_large = (float(np.quantile(group, SELDOM)) for group in groups)
-    grows = 2.0  # times as long after large bursts: without a shared readout neither is longer than the wait that cuts
-    return 1e-9 * after_large if after_large > grows * after_small else None
+def cycles(t: np.ndarray, wait_ns: int) -> tuple[np.ndarray, np.ndarray]:
+    """(when each began, how many events it has) of the cycles of a shared readout, from times t (n,) ns, in order."""
+    first, _, size = _cut(t, wait_ns)
+    return t[first], size
+
+
+def _shared(t: np.ndarray, pixels: int) -> tuple[int, float] | None:
+    """(pauses longer than which, ns, part cycles of a shared readout;  `Bursts.silence_s`).
+
+    t: (n,) ns, in order.  None where silences do not grow.  A pixel is in a cycle once: under the right wait none has
+    more than all.
+    """
+    found = []
+    for wait in WAITS_NS:
+        first, last, size = _cut(t, wait)
+        full = int(np.sum(size == pixels))
+        if full < LEAST_BURSTS or np.sum(size > pixels) > BEYOND * full:
+            continue
+        silence, size = t[first[1:]] - t[last[:-1]], size[:-1]
+        groups = [silence[(size >= low * pixels) & (size < high * pixels)] for low, high in (SMALL, LARGE)]
+        if min(map(len, groups)) < LEAST_BURSTS:
+            continue
+        after_small, after_large = (float(np.quantile(group, SELDOM)) for group in groups)
+        if after_large > GROWS * after_small:
+            found.append((full, wait, 1e-9 * after_large))
+    enough = NEARLY * max((full for full, _, _ in found), default=0)
+    return next(((wait, silence_s) for full, wait, silence_s in found if full >= enough), None)
+
+
+def _cycle(t: np.ndarray, pixels: int, wait_ns: int) -> Cycle:
+    """The readout's cycle from times t (n,) ns, in order.
+
+    Two full bursts in a row leave no pause between cycles, and of small ones the shortest waits have none.  Those
+    before a burst of several pixels have hardly any.
+    """
+    begun, size = cycles(t, wait_ns)
+    length, size, after = np.diff(begun) * 1e-9, size[:-1], size[1:]
+    small, full = size <= SMALL[0] * pixels, (size == pixels) & (after == pixels)
+    few, least = float(size[small].mean()), float(np.quantile(length[small], SELDOM))
+    event_s = max((float(np.median(length[full])) - least) / (pixels - few), 0.0)
+    cycle_s = max(least - few * event_s, 0.0)
+    several = after > SMALL[0] * pixels
+    off = length[several] / (cycle_s + event_s * size[several])
+    return Cycle(cycle_s, event_s, float(np.subtract(*np.quantile(off, (0.75, 0.25)))) / IQR)
 
 
 def _cut(times: np.ndarray, wait_ns: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -1,4 +1,8 @@
-"""Full-field light: one trajectory, shared by all pixels; each pixel only compares and resets."""
+"""Full-field light: one trajectory, shared by all pixels; each pixel only compares and resets.
+
+Where a readout is shared, a pixel that has crossed a threshold waits for the next cycle, is read with all others that
+wait, and is reset then: pixels are carried through a step together, cycle by cycle.
+"""
 
 from __future__ import annotations
 
@@ -10,18 +14,21 @@ from numba import njit
 
 from pixelid.dynamics import kernels, slew
 from pixelid.dynamics.trajectory import integrate
-from pixelid.simulate import comparator
+from pixelid.simulate import comparator, random
 from pixelid.simulate.comparator import DECAY, LAST, LEVEL, OFF, ON, RELEASE, events_in_step
 from pixelid.simulate.crossing import DEPTH
 from pixelid.simulate.laws import Rules
 from pixelid.simulate.relaxing import relaxed
 from pixelid.simulate.step import after_jump, light_integral, modes, slope_bound
+from pixelid.stages.circuit import Circuit
 from pixelid.stages.modulation import set_at_reset
 from pixelid.stimuli.drive import Drive, drive, refined_radiance
 from pixelid.stimuli.stimulus import Stimulus
 
 WORK = 1 << 24  # pixel steps between two deliveries of sorted events
 FIRST_CAPACITY = 1024
+CYCLE = 9  # stream of random numbers, after that of `simulate/readout.py`
+UNTIL_READ = 1e300  # s: dead time of a pixel that waits
 
 
 @dataclass(frozen=True)
@@ -103,6 +110,8 @@ class FullField:
             )  # fmt: skip
         if twins is not None:
             self._imitate(twins)
+        self._crossed_s, self._polarity = np.full(pixels, np.inf), np.zeros(pixels, np.uint8)
+        self._readout = np.array([-np.inf, 0.0])  # end of the last cycle, and how many there have been
 
     def _imitate(self, twins: Twins) -> None:
         state = self._comparators
@@ -141,7 +150,7 @@ class FullField:
         """(event lists of tiles, time up to which they are complete, whether that is all), some steps at a time."""
         t, pixels = self._shared.t, len(self._drawn)
         last, size = len(t) - 1, max(1, WORK // pixels)
-        tile = 256  # pixels worked on by one thread at a time
+        tile = pixels if reads_together(self._rules.circuit) else 256  # worked on by one thread at a time
         for k in range(0, last, size):
             steps = range(k, min(k + size, last))
             parts = pool.map(
@@ -156,13 +165,27 @@ class FullField:
 
     def _events(self, first: int, after: int, steps: range):
         """(times (m,) s, pixels (m,), polarities (m,)) of pixels first … after − 1, pixel by pixel."""
-        shared, rules = self._shared, self._rules
-        return _pixel_events(
-            self._places, first, after, steps.start, steps.stop, shared.t, shared.u, shared.logs, shared.light,
-            shared.radiance, shared.states, shared.high, shared.low, shared.fade, shared.drift,
-            rules.dynamics, rules.chain, rules.circuit.linearisation == "midpoint", rules.laws,
-            self._comparators, self._drawn,
+        shared, rules, circuit = self._shared, self._rules, self._rules.circuit
+        course = (
+            shared.t, shared.u, shared.logs, shared.light, shared.radiance, shared.states, shared.high, shared.low,
+            shared.fade, shared.drift, rules.dynamics, rules.chain, circuit.linearisation == "midpoint",
         )  # fmt: skip
+        if reads_together(circuit):
+            cycle = (circuit.per_cycle, circuit.per_event, circuit.cycle_spread)
+            key = np.uint64(random.stream_key(rules.seed, CYCLE))
+            return _read_events(
+                self._places, steps.start, steps.stop, *course, rules.laws._replace(refractory=UNTIL_READ),
+                circuit.refractory, cycle, key, self._comparators, self._drawn, self._crossed_s, self._polarity,
+                self._readout,
+            )  # fmt: skip
+        return _pixel_events(
+            self._places, first, after, steps.start, steps.stop, *course, rules.laws, self._comparators, self._drawn
+        )
+
+
+def reads_together(circuit: Circuit) -> bool:
+    """Whether pixels wait for a readout that they share."""
+    return circuit.per_cycle + circuit.per_event > 0.0
 
 
 def _refined(light: Drive, longest_step: float) -> Drive:
@@ -241,6 +264,84 @@ def _bounds(t, u, logs, seen, radiance, states, dynamics, chain, midpoint, laws,
             drift[k] += laws[2] * light_integral(light, light_r, tau)
 
 
+@njit(forceinline=True, error_model="numpy")
+def _faded(decay, fade):
+    """What is left of a reset after a step."""
+    faded = decay * fade
+    return faded if abs(faded) > 1e-15 else 0.0
+
+
+@njit(forceinline=True, error_model="numpy")
+def _quiet(t0, t1, high, low, fade, drift, level, decay, on, off, last_event, growth, relaxing):
+    """Whether a live pixel crosses no threshold in the step t0 … t1."""
+    faded = decay * fade
+    factor = 1.0 + growth * (t1 if growth < 0.0 else t0)
+    upper, lower = high - level + drift - min(decay, faded), low - level - max(decay, faded)
+    if relaxing[0] != 0.0 or relaxing[1] != 0.0:
+        begin, end = relaxed(relaxing, t0 - last_event), relaxed(relaxing, t1 - last_event)
+        on, off = on + min(begin[0], end[0]), off + min(begin[1], end[1])
+    return (upper < on * factor and lower > -off * factor) or t1 == t0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _read_events(
+    places, k_first, k_last, t, u, logs, seen, radiance, states, high, low, fade, drift, dynamics, chain, midpoint,
+    laws, dead, cycle, key, comparators, drawn, crossed, polarity, readout,
+):  # fmt: skip
+    """Events of all pixels as a shared readout stamps them.
+
+    laws: whose dead time no step ends;  dead: s, from the reading on;  cycle: s, s per event, relative spread
+    crossed: (pixels,) s, when those that wait crossed a threshold, else infinite;  polarity: (pixels,) then
+    readout: end of the last cycle, how many there have been
+    """
+    scratch = np.empty((6, DEPTH))
+    found, one, count = comparator.room(np.int64(FIRST_CAPACITY)), comparator.room(np.int64(2)), np.int64(0)
+    pixels = len(places)
+    to_go = np.empty(pixels, np.bool_)
+    for k in range(k_first, k_last):
+        t0, t1 = t[k], t[k + 1]
+        if t1 <= t0:
+            continue
+        to_go[:] = True
+        step = _step(k, t, u, logs, seen, radiance, states, dynamics, chain, midpoint)
+        while True:
+            for i in range(pixels):
+                if not to_go[i]:
+                    continue
+                to_go[i] = False
+                level, decay = comparators[LEVEL, i], comparators[DECAY, i]
+                if comparators[RELEASE, i] < np.inf:
+                    if comparators[RELEASE, i] > t1:
+                        continue
+                elif _quiet(
+                    t0, t1, high[k], low[k], fade[k], drift[k], level, decay, comparators[ON, i], comparators[OFF, i],
+                    comparators[LAST, i], laws[3], laws[8],
+                ):  # fmt: skip
+                    comparators[DECAY, i], comparators[LEVEL, i] = _faded(decay, fade[k]), level - drift[k]
+                    continue
+                one, crossings = events_in_step(
+                    places[i], i, t0, t1, step, chain, comparators, drawn, laws, one, np.int64(0), scratch
+                )
+                if crossings > 0:
+                    crossed[i], polarity[i] = one[0][0], one[2][0]
+            now = max(crossed.min(), readout[0])
+            if now > t1:
+                break
+            read = 0
+            for i in range(pixels):
+                if crossed[i] <= now:
+                    if count == len(found[0]):
+                        found = comparator.grown(found)
+                    found[0][count], found[1][count], found[2][count] = now, places[i], polarity[i]
+                    count, read = count + 1, read + 1
+                    crossed[i], to_go[i] = np.inf, True
+                    comparators[LAST, i], comparators[RELEASE, i] = now, now + dead
+            spread, _ = random.normal_pair(key, 0, np.int64(readout[1]))
+            readout[0] = now + (cycle[0] + cycle[1] * read) * max(1.0 + cycle[2] * spread, 0.0)
+            readout[1] += 1.0
+    return found[0][:count], found[1][:count], found[2][:count]
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def _pixel_events(
     places, first, last, k_first, k_last, t, u, logs, seen, radiance, states, high, low, fade, drift,
@@ -249,7 +350,6 @@ def _pixel_events(
     scratch = np.empty((6, DEPTH))
     found, count = comparator.room(np.int64(FIRST_CAPACITY)), np.int64(0)  # literals would compile twice
     growth, relaxing = laws[3], laws[8]
-    relaxes = relaxing[0] != 0.0 or relaxing[1] != 0.0
     for i in range(first, last):
         level, decay, release = comparators[LEVEL, i], comparators[DECAY, i], comparators[RELEASE, i]
         on, off, last_event = comparators[ON, i], comparators[OFF, i], comparators[LAST, i]
@@ -258,19 +358,12 @@ def _pixel_events(
             if release < np.inf:
                 if release > t1 or t1 == t0:
                     continue
-            else:
-                faded = decay * fade[k]
-                factor = 1.0 + growth * (t1 if growth < 0.0 else t0)
-                upper = high[k] - level + drift[k] - min(decay, faded)
-                lower = low[k] - level - max(decay, faded)
-                least_on, least_off = on, off
-                if relaxes:
-                    begin, end = relaxed(relaxing, t0 - last_event), relaxed(relaxing, t1 - last_event)
-                    least_on, least_off = on + min(begin[0], end[0]), off + min(begin[1], end[1])
-                if (upper < least_on * factor and lower > -least_off * factor) or t1 == t0:
-                    decay = faded if abs(faded) > 1e-15 else 0.0
-                    level -= drift[k]
-                    continue
+            elif _quiet(
+                t0, t1, high[k], low[k], fade[k], drift[k], level, decay, on, off, last_event, growth, relaxing
+            ):
+                decay = _faded(decay, fade[k])
+                level -= drift[k]
+                continue
             comparators[LEVEL, i], comparators[DECAY, i] = level, decay
             step = _step(k, t, u, logs, seen, radiance, states, dynamics, chain, midpoint)
             found, count = events_in_step(

@@ -19,7 +19,7 @@ from pixelid.model.model import Model
 from pixelid.recordings.events import MOST_PIXELS, MOST_SIDE, Events
 from pixelid.recordings.recording import Recording
 from pixelid.simulate import light, random
-from pixelid.simulate.full_field import FullField, Twins
+from pixelid.simulate.full_field import FullField, Twins, reads_together
 from pixelid.simulate.hot_pixels import HotPixels
 from pixelid.simulate.laws import Rules, rules_of
 from pixelid.simulate.ordering import Ordering
@@ -159,12 +159,15 @@ def _chunks(
         if not isinstance(stimulus, Stimulus | PixelLights) or not shared or circuit.shot_density > 0:
             raise InputError("described light, response or rate: needs full-field light or groups, and no shot noise")
         stimulus = without_long_steps(stimulus)
+    alike = isinstance(stimulus, Stimulus) and stimulus.full_field and circuit.shot_density == 0
+    if reads_together(circuit) and not alike:
+        raise InputError("shared_readout: needs light that all pixels share, and no shot noise or light_spread")
     hot = HotPixels(circuit, pixels, seed, start)
     ordering, readout = Ordering(width, height, circuit.delay), Readout(circuit, seed)
     with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
         if isinstance(stimulus, PixelLights):
             work = Grouped(stimulus, rules, twins).run(pool)
-        elif isinstance(stimulus, Stimulus) and stimulus.full_field and circuit.shot_density == 0:
+        elif isinstance(stimulus, Stimulus) and alike:
             work = FullField(stimulus, rules, pixels, twins).run(pool)
         else:
             work = _tiled(stimulus, rules, pixels, pool)

@@ -61,6 +61,9 @@ class Circuit:
     # readout
     lost: float = 0.0  # share of the events
     service: float = 0.0
+    per_cycle: float = 0.0  # seconds that a cycle of a shared readout lasts, and those more for each event in it
+    per_event: float = 0.0
+    cycle_spread: float = 0.0  # of its length, relative
     jitter: float = 0.0
     tick: float = 0.0
     # quantities that depend on a covariate

@@ -34,6 +34,27 @@ class ReadoutLatency(Effect):
         return circuit.with_(service=values["readout_latency.service_s"])
 
 
+class SharedReadout(Effect):
+    name = "shared_readout"
+    stage = "readout"
+    sentence = "All pixels that wait are read in one cycle; the others wait until it ends."
+    equation = "a cycle of n events lasts (cycle_s + event_s n)(1 + spread ξ); a pixel is reset when it is read"
+    source = "docs/results/real-data.md: bursts of a real camera"
+    parameters = (
+        Parameter("shared_readout.event_s", 2e-6, "s", 1e-9, 1e-3, "log"),
+        Parameter("shared_readout.cycle_s", 1e-5, "s", 1e-9, 1e-2, "log"),
+        Parameter("shared_readout.spread", 0.05, "1", 1e-3, 0.5, "log", free=False),
+    )
+    in_event_times = False
+
+    def apply(self, circuit: Circuit, values: Mapping[str, float]) -> Circuit:
+        return circuit.with_(
+            per_event=values["shared_readout.event_s"],
+            per_cycle=values["shared_readout.cycle_s"],
+            cycle_spread=values["shared_readout.spread"],
+        )
+
+
 class TimestampJitter(Effect):
     name = "timestamp_jitter"
     stage = "readout"
@@ -59,4 +80,4 @@ class TimestampQuantisation(Effect):
         return circuit.with_(tick=values["timestamp_quantisation.tick_s"])
 
 
-EFFECTS = (LostEvents(), ReadoutLatency(), TimestampJitter(), TimestampQuantisation())
+EFFECTS = (LostEvents(), ReadoutLatency(), SharedReadout(), TimestampJitter(), TimestampQuantisation())

@@ -25,7 +25,9 @@ ADDED = (
     "dead_time_without_reset",
     "mains_flicker",
 )
-NOT_TRIED = {"light_spread", "shot_noise", "hot_pixels", "readout_latency", "timestamp_quantisation"}
+NOT_TRIED = {
+    "light_spread", "shot_noise", "hot_pixels", "readout_latency", "shared_readout", "timestamp_quantisation",
+}  # fmt: skip
 FAST = [
     ("dvs128", "", ""), ("dvs128_low_light", "bandwidth_floor", ""), ("ideal", "", "leak"),
     ("ideal", "dead_time_without_reset", ""),

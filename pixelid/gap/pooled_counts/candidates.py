@@ -8,10 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from pixelid.errors import InputError
+from pixelid.fit.pooled import READOUT, read_out
 from pixelid.gap.attribute.attribute import Report
 from pixelid.gap.attribute.candidates import missing, remove_effect, variants
 from pixelid.gap.pooled_counts.stretches import Fitted, Stretches
 from pixelid.model.model import Model
+from pixelid.recordings.bursts import bursts_of
 
 # Of the optimiser: neighbouring models start near each other, and the first steps show which of them lead.
 STEPS, FIRST_STEPS = 12, 4
@@ -19,7 +21,7 @@ FIT, SELECT = 0, 1  # roles of stretches
 LIGHT_SPREAD = "light_spread"  # which only pooled counts have
 # Counts in bins of 50 µs blur what moves single events, and an event lost is a pixel fewer or a higher threshold.
 NOT_IN_COUNTS = {"timestamp_jitter", "lost_events"}
-ONLY_IN_COUNTS = (LIGHT_SPREAD, "readout_latency")
+ONLY_IN_COUNTS = (LIGHT_SPREAD, "readout_latency", READOUT)
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,10 @@ class PooledCandidates:
     def _screen(self, effect: str) -> tuple[Fitted, float] | None:
         part, base = self.stretches.part(FIT), self.base
         best: tuple[float, Model] | None = None
-        for trial in variants(base.model, effect):
+        trials = variants(base.model, effect)
+        if effect == READOUT:
+            trials = [read_out(base.model.with_effect(READOUT), map(bursts_of, self.stretches.whole.recordings))]
+        for trial in trials:
             try:
                 value = part.log_likelihood(part.expected(trial.circuit(), {**base.nuisances, **trial.values}))
             except (InputError, FloatingPointError):
@@ -77,9 +82,15 @@ def pooled_candidates(stretches: Stretches, model: Fitted) -> PooledCandidates:
 
 
 def effects_to_try(stretches: Stretches, model: Model, leave_out: Sequence[str]) -> list[str]:
-    """Effects that a model lacks and pooled counts can show."""
+    """Effects that a model lacks and pooled counts can show.
+
+    A shared readout alone, where bursts show one: as long as pixels are taken not to wait, others stand in for it.
+    """
+    if READOUT not in leave_out and not model.has(READOUT) and any(stretches.whole.cycles):
+        return [READOUT]
     shaped = any(r.stimulus is not None and r.stimulus.unit == "shape" for r in stretches.whole.recordings)
     # where the light is known up to an offset, dark current is that offset
     skip = {*leave_out, *NOT_IN_COUNTS, *(("dark_current",) if shaped else ())}
+    skip |= {READOUT}
     there = [*missing(model), *(effect for effect in ONLY_IN_COUNTS if not model.has(effect))]
     return [effect for effect in there if effect not in skip]

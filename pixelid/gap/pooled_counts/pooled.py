@@ -12,7 +12,7 @@ import numpy as np
 
 from pixelid.errors import InputError
 from pixelid.fit.judge import LARGEST_DISPERSION
-from pixelid.fit.pooled import fit_pooled
+from pixelid.fit.pooled import READOUT, fit_pooled
 from pixelid.fit.pooled_rate import PooledRateObjective
 from pixelid.gap.attribute.attribute import Attribution, Candidate, attribute
 from pixelid.gap.confirm.free_run import FreeRun, closes_nothing
@@ -36,9 +36,9 @@ from pixelid.gap.result import SHOWN_CELLS, GapReport, Named
 from pixelid.gap.rounds import Rounds, amended, candidate_entries, entry
 from pixelid.gap.rounds import withdrawn as taken_back
 from pixelid.gap.verdict import TELLING_NATS, describe, judge
+from pixelid.likelihood.pooled_rate import PooledRate
 from pixelid.model.model import Model
 from pixelid.provenance import input_hashes, versions
-from pixelid.recordings.bursts import bursts_of
 from pixelid.recordings.recording import Recording
 from pixelid.statistics import Z95
 from pixelid.stimuli.stimulus import Stimulus
@@ -64,7 +64,7 @@ class PooledState:
 
     Attributes:
         phase: What comes next.
-        name: Of the model as it came.
+        stated: The model as it came.
         recordings: Cut to what is looked at.
         stretches, cells: Their counts, and ways to sort the bins.
         base, fit: The base model and the model so far, on the training stretches.
@@ -73,7 +73,7 @@ class PooledState:
     """
 
     phase: Phase
-    name: str
+    stated: Model
     recordings: tuple[Recording, ...]
     stretches: Stretches
     cells: tuple[Cells, ...]
@@ -122,7 +122,7 @@ def _begin(recordings: Sequence[Recording], model: Model, context: Context) -> P
     base = stretches.fit(fitted, nuisances, stretches.part(*TRAINING), STEPS)
     cells = tuple(sort_bins(stretches, base))
     first = diagnose_pooled(stretches, cells, base, options.criteria, options.seed)
-    return PooledState(Phase.NAME, model.name, shortened, stretches, cells, base, base, first, first)
+    return PooledState(Phase.NAME, model, shortened, stretches, cells, base, base, first, first)
 
 
 def _name_effect(state: PooledState, context: Context) -> PooledState:
@@ -141,11 +141,27 @@ def _name_effect(state: PooledState, context: Context) -> PooledState:
     winner = attribution.winner
     if winner is None:
         return replace(state, phase=Phase.CONFIRM)
-    fit = state.stretches.fit(winner.end.model, winner.end.nuisances, state.stretches.part(*TRAINING), STEPS)
-    seen = diagnose_pooled(state.stretches, state.cells, fit, options.criteria, options.seed)
+    stretches = state.stretches.near(winner.end)
+    part = stretches.part(*TRAINING)
+    if winner.effect == READOUT:  # for which other parameters had stood in
+        fit = _fitted_anew(state, winner.effect, stretches, part)
+    else:
+        fit = stretches.fit(winner.end.model, winner.end.nuisances, part, STEPS)
+    stretches = stretches.near(fit)
+    seen = diagnose_pooled(stretches, state.cells, fit, options.criteria, options.seed)
     step = PooledStep(winner, attribution, state.seen.words)
     rounds = amended(state.rounds, -1, named=winner.effect)
-    return replace(state, fit=fit, seen=seen, steps=(*state.steps, step), rounds=rounds)
+    return replace(state, stretches=stretches, fit=fit, seen=seen, steps=(*state.steps, step), rounds=rounds)
+
+
+def _fitted_anew(state: PooledState, effect: str, stretches: Stretches, part: PooledRate) -> Fitted:
+    """The model as it came with an effect, and those named before, fitted as the base model was."""
+    grown = state.stated
+    for name in (*(step.winner.effect for step in state.steps), effect):
+        grown = grown.with_effect(name)
+    found = fit_pooled(state.recordings, grown, {}, lambda what, share: None)
+    coordinates, x = found.objective.coordinates, found.optimum.x
+    return stretches.fit(coordinates.model_at(x), coordinates.nuisances_at(x), part, STEPS)
 
 
 def _confirm(state: PooledState, context: Context) -> GapReport:
@@ -171,7 +187,7 @@ def _confirm(state: PooledState, context: Context) -> GapReport:
     effects = tuple(_named(step, state.fit, errors) for step in state.steps)
     said = judge(bool(effects), bool(doubts), remainder, None)
     term = flexible_factor(state.stretches, state.cells, state.fit)
-    shared = any(bursts_of(recording).silence_s is not None for recording in state.recordings)
+    shared = any(state.stretches.whole.cycles) and not state.fit.model.has(READOUT)
     context.report("done", 1.0)
     return GapReport(
         verdict=said,
@@ -183,7 +199,7 @@ def _confirm(state: PooledState, context: Context) -> GapReport:
         free_run=run,
         rounds=state.rounds,
         base=state.base.model,
-        model=replace(state.fit.model, name=f"{state.name}_grown") if effects else state.base.model,
+        model=replace(state.fit.model, name=f"{state.stated.name}_grown") if effects else state.base.model,
         term=None,
         recommended_next={
             "why": "events with pixel addresses, under known light: pooled counts show the pixels of a pool together",
@@ -278,7 +294,7 @@ def _describe(
         if term[0] and term[1] > TELLING_NATS:
             text += f" Rates that depend on {term[0]} gain {term[1]:.3g} nats on stretches not used to find them."
         if shared:
-            text += " Bursts show a shared readout, for which all pixels wait; no effect describes it."
+            text += " Bursts show a shared readout, for which all pixels wait; the model has none."
         listed = "; ".join(e.name for e in effects)
         return (f"Found on the way: {listed}. " if listed else "") + text
     if said == "ambiguous":  # rounds end with the first doubt: the last one named is in doubt

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pixelid.errors import InputError
 from pixelid.fit import newton
 from pixelid.fit.coordinates import Coordinates
-from pixelid.fit.pooled_rate import PooledRateObjective
+from pixelid.fit.pooled_rate import PooledRateObjective, simulated
 from pixelid.gap.confirm.free_run import RESAMPLES, FreeRun
 from pixelid.gap.criteria import Criteria
 from pixelid.gap.detect.covariates import POLARITY
@@ -30,6 +31,7 @@ ROLES = (25, 15, 20)  # of them: to fit, to select, to confirm
 SINCE_S = (0.0, 1e-4, 2e-4, 3.5e-4, 6e-4, 1e-3, 2e-3, 5e-3, np.inf)  # slices of the time since the light jumped
 MIN_JUMP = 0.05  # change of ln L from one sample to the next that counts as a jump: a quarter of a usual threshold
 TIMES = 8  # slices of a recording
+POOLS = 16  # simulated: chance to a fifth
 FINER = 4  # parts of a stretch, of which each is a unit for slices of a recording: these have few stretches each
 LEVELS = 4  # of ln L, as many bins in each
 STILL = 0.02  # of the 95 % quantile of |d ln L/dt|: slopes below count as none
@@ -93,18 +95,41 @@ class Stretches:
 
     def fit(self, model: Model, nuisances: Mapping[str, float], likelihood: PooledRate, steps: int) -> Fitted:
         """The model fitted to a part of the stretches."""
-        free = tuple(p.at(p.within(nuisances[p.name])) for p in self.nuisances)
-        coordinates = Coordinates.of(model, free)
-        objective = PooledRateObjective(likelihood, coordinates)
-        end = newton.maximise(objective, coordinates.start, tolerance=0.1 * self.dispersion, max_steps=steps)
-        expected = objective.expected(end.x)
-        return Fitted(
-            coordinates.model_at(end.x),
-            coordinates,
-            end.x,
-            expected,
-            likelihood.log_likelihood(expected) / self.dispersion,
-        )
+        objective = PooledRateObjective(likelihood, self._coordinates(model, nuisances))
+        end = newton.maximise(
+            objective, objective.coordinates.start, tolerance=0.1 * self.dispersion, max_steps=steps
+        )  # fmt: skip
+        return self._fitted(objective.coordinates, end.x, likelihood)
+
+    def _coordinates(self, model: Model, nuisances: Mapping[str, float]) -> Coordinates:
+        return Coordinates.of(model, tuple(p.at(p.within(nuisances[p.name])) for p in self.nuisances))
+
+    def _fitted(self, coordinates: Coordinates, x: np.ndarray, likelihood: PooledRate) -> Fitted:
+        expected = likelihood.expected(coordinates.circuit(x), coordinates.values(x))
+        value = likelihood.log_likelihood(expected) / self.dispersion
+        return Fitted(coordinates.model_at(x), coordinates, x, expected, value)
+
+    def near(self, model: Fitted) -> Stretches:
+        """The same with the variances of counts of another model, and what counts scatter about it."""
+        whole = self.whole.near(model.model.circuit(), model.coordinates.values(model.x))
+        return replace(self, whole=whole, dispersion=max(whole.dispersion(model.expected), 1.0))
+
+    def free_run(self, model: Fitted, pools: int, seed: int) -> np.ndarray | None:
+        """(pools, bins) counts of pools simulated from a model; None where it cannot be simulated."""
+        values, whole = model.coordinates.values(model.x), self.whole
+        pixels = max(round(values["pooled.pixels"]), 1)
+        rng, rows = np.random.default_rng(seed), []
+        for pool in range(pools):
+            parts = []
+            for i, counts in enumerate(whole.counts):
+                try:
+                    bins, _ = simulated(whole, i, model.model, values, pixels, seed * pools + pool)
+                except InputError:
+                    return None
+                noise = rng.poisson(whole.background(i, values))
+                parts.append(np.bincount(bins, minlength=2 * len(counts.on)) + noise)
+            rows.append(np.concatenate(parts))
+        return np.array(rows, float)
 
     def by_stretch(self, role: int, better: Fitted, worse: Fitted) -> np.ndarray:
         """(stretches of a role,) quasi nats that one model gains on another."""
@@ -233,7 +258,11 @@ def diagnose_pooled(
 def closed_gap(
     stretches: Stretches, cells: Cells, base: Fitted, grown: Fitted, criteria: Criteria, seed: int
 ) -> FreeRun:
-    """The gap of the counts after jumps, on the stretches set aside, before and after."""
+    """The gap of the counts after jumps, on the stretches set aside, before and after.
+
+    Where cycles of a readout are given, expected counts know what came before: both models then run freely, as
+    simulated pools, and chance is what these scatter by.
+    """
     confirm = stretches.role == 2
     units = np.unique(stretches.stretch[confirm], return_inverse=True)[1]
     k, cell = len(cells.labels), cells.cell[confirm]
@@ -241,13 +270,24 @@ def closed_gap(
     def table(values):
         return np.bincount(units * k + cell, values[confirm], (units.max() + 1) * k).reshape(-1, k)
 
-    observed, before, after = table(stretches.whole.observed), table(base.expected), table(grown.expected)
-    scatter = table(stretches.dispersion * stretches.whole.ratio * grown.expected)
+    runs = [None, None]
+    if any(stretches.whole.cycles):
+        runs = [stretches.free_run(model, POOLS, seed) for model in (base, grown)]
+    if runs[0] is None or runs[1] is None:
+        before, after = table(base.expected), table(grown.expected)
+        scatter = table(stretches.dispersion * stretches.whole.ratio * grown.expected)
+    else:
+        before, pools = table(runs[0].mean(axis=0)), np.array([table(pool) for pool in runs[1]])
+        after, scatter = pools.mean(axis=0), None
+    observed = table(stretches.whole.observed)
 
     def gaps(rows) -> tuple[float, float]:
         mu = after[rows].sum(axis=0)
         shown = mu > criteria.min_cell_events
-        chance = scatter[rows].sum(axis=0)[shown]
+        if scatter is None:
+            chance = (1.0 + 1.0 / POOLS) * np.maximum(pools[:, rows].sum(axis=1).var(axis=0, ddof=1)[shown], 1.0)
+        else:
+            chance = scatter[rows].sum(axis=0)[shown]
         return tuple(
             float(np.mean((observed[rows].sum(axis=0) - model[rows].sum(axis=0))[shown] ** 2 / chance))
             for model in (before, after)
