@@ -190,7 +190,7 @@ def complaint(outcome: Outcome, before: dict[str, bytes], after: dict[str, bytes
 def faults_of(name: str, folder: Path, most: int = MOST_CALLS) -> dict[str, dict[str, Any]]:
     """Fault → how many runs met it, were refused, survived, and the first complaint."""
     words = [*COMMANDS[name].format(out="out").split(), "--quiet"]
-    words += ["--overwrite"] if name not in ("models", "report") else []
+    words += ["--overwrite"] if name not in ("models", "report", "check") else []
     if name == "report":
         shutil.copytree(folder / "scene", folder / "out")
     first = run(words, folder)
