@@ -89,7 +89,7 @@ def fit_pooled(
     fluid = "threshold_noise" not in model.effects
     bursts = [b for b in map(bursts_of, recordings) if b.pixels is not None]
     model = read_out(model, bursts)
-    start |= {name: model.values[name] for name in model.values}
+    start |= {name: value for name, value in model.values.items() if name.startswith(READOUT)}
     sizes = {b.pixels for b in bursts}
     size = next(iter(sizes)) if len(sizes) == 1 else None
     pixels = fixed.get("pooled.pixels", None if size is None else float(size))

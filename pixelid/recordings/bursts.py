@@ -206,7 +206,7 @@ def _cut(times: np.ndarray, wait_ns: int) -> tuple[np.ndarray, np.ndarray, np.nd
 
 def _last_size(sizes: np.ndarray) -> int | None:
     """The size at which bursts end; None where none does."""
-    counts = np.bincount(sizes)
+    counts = np.bincount(sizes, minlength=1)
     events = counts * np.arange(len(counts))
     pixels = int(np.argmax(events))
     beyond = counts[pixels + 1 : pixels + 1 + max(pixels // 2, 1)].sum()

@@ -156,7 +156,7 @@ def test_the_page_reads_and_plays_everywhere(window, tmp_path):
             assert not window.sticking_out()
     count = window.evaluate("presets.length")
     assert count == len(shipped_models()) + 1
-    assert window.evaluate("document.getElementById('leak').nextElementSibling.textContent") == "3 Hz"
+    assert window.evaluate("document.getElementById('leak').nextElementSibling.textContent") == "3 events/s"
     window.evaluate("document.getElementById('play').click()")  # stop it, so that only sliders move it
     drawn = "document.getElementById('%s').toDataURL()"
     for chosen in range(count):
