@@ -172,19 +172,21 @@ def _widths(coordinates: Coordinates, matrix: np.ndarray) -> dict[str, dict]:
 
 
 def _advice(ranking: list[dict], recordings, known, draws, model: Model) -> str:
-    said = []
+    sentences = []
     if model.has(SHOT_NOISE):
-        said.append("shot noise is left out: what it hides, and what its own events would add, is not counted")
+        sentences.append("shot noise is left out: what it hides, and what its own events would add, is not counted")
     if ranking[0]["score"] < 0.01:
-        said.append("nothing on the menu adds more than 1 %: offer other levels or longer stimuli")
+        sentences.append("nothing on the menu adds more than 1 %: offer other levels or longer stimuli")
     if recordings and not draws:
-        said.append("the model's values are taken as they are: give a fit folder to average over their uncertainty")
+        sentences.append(
+            "the model's values are taken as they are: give a fit folder to average over their uncertainty"
+        )
     if known is not None and not recordings:
-        said.append(
+        sentences.append(
             "thresholds: the new stimulus is counted as if other pixels recorded it; give the fit's recordings with "
             "--recorded to count the same pixels once"
         )
-    return "; ".join(said)
+    return "; ".join(sentences)
 
 
 def why(names: tuple[str, ...], before: np.ndarray, after: np.ndarray, criterion: str, ranking: list[dict]) -> str:
@@ -197,16 +199,18 @@ def why(names: tuple[str, ...], before: np.ndarray, after: np.ndarray, criterion
     shown = [criterion] if criterion in names else [names[i] for i in order[:3]]
     parts = [_shrinks(name, old[names.index(name)], new[names.index(name)]) for name in shown]
     direction, factor = criteria.most_improved(before, after)
-    said = [f"It shrinks the standard error of {'; '.join(parts)}."]
+    sentences = [f"It shrinks the standard error of {'; '.join(parts)}."]
     most = combination([in_words(name) for name in names], direction, 0.2, 4)
-    said.append(f"The direction that gains most is {most}: {factor:.3g} times better known.")
+    sentences.append(f"The direction that gains most is {most}: {factor:.3g} times better known.")
     if len(ranking) > 1:
         best, second = ranking[0], ranking[1]
         other = in_short(second["name"], second.get("parameters", {}), "")
-        said.append(f"Its score is {best['score']:.3g} nats; the next best, {other}, reaches {second['score']:.3g}.")
+        sentences.append(
+            f"Its score is {best['score']:.3g} nats; the next best, {other}, reaches {second['score']:.3g}."
+        )
         if best["score"] - second["score"] < 2 * np.hypot(best["score_error"], second["score_error"]):
-            said.append("The difference lies within the error of the estimate: either will do.")
-    return " ".join(said)
+            sentences.append("The difference lies within the error of the estimate: either will do.")
+    return " ".join(sentences)
 
 
 def _shrinks(name: str, old: float, new: float) -> str:

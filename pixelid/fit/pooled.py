@@ -99,9 +99,7 @@ def fit_pooled(
         dead = model.parameter("refractory_s")
         begins += [{"refractory_s": dead.within(share * min(spacings_s))} for share in OF_BOUND]
     if any(afar.cycles):  # the fluid limit knows no waiting, and its optimum is far
-        begins += _as_stated(
-            model, stated, any(r.stimulus is not None and r.stimulus.unit == "shape" for r in recordings)
-        )
+        begins += _as_stated(model, stated, "stimulus.gain" in nuisances)
     start |= {name: value for name, value in _counted(afar, model, start, pixels).items() if name not in fixed}
     if pixels is not None or fluid:
         nuisances["pooled.pixels"] = nuisances["pooled.pixels"].at(start["pooled.pixels"]).fixed()

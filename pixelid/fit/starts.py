@@ -57,11 +57,11 @@ def narrower(model: Model, likelihood: EventTimes) -> Model | None:
     """
     if LOST not in model.free or SCATTER not in model.free:
         return None
-    said = feasible(model, likelihood).values
-    wider = 2.0  # times what most levels say; at the true optimum 1, at the other 5 or more
-    if model.values[SCATTER] < wider * said[SCATTER]:
+    by_levels = feasible(model, likelihood).values
+    wider = 2.0  # times what most levels show; at the true optimum 1, at the other 5 or more
+    if model.values[SCATTER] < wider * by_levels[SCATTER]:
         return None
-    return model.set({name: said[name] for name in (*THRESHOLDS, SCATTER) if name in model.free})
+    return model.set({name: by_levels[name] for name in (*THRESHOLDS, SCATTER) if name in model.free})
 
 
 def _with_silence(model: Model, likelihood: EventTimes) -> Model:

@@ -3,7 +3,7 @@
 The expected count of a bin is N times that of one pixel (`likelihood/pool.py`: dead time, thresholds and their noise),
 averaged over the kinds of pixel in the pool (`kinds_of`: mismatch, spread of light), queued where one arbiter serves
 them all, plus a background b per polarity.  A readout that takes all pixels that wait in one cycle makes them wait for
-each other: when cycles began and how many events each had is taken from what came before (`likelihood/pool.py`).  The
+each other: when cycles began and how many events each had is taken from what came before (`pool_read.py`).  The
 end of the one under way is known to its spread only, so those that wait fall into one bin or the next all together,
 which adds to the variance.  In the limit of many small thresholds and no dead time that is the fluid
 rate

@@ -84,7 +84,7 @@ def wait_edges(recording: Recording) -> np.ndarray:
     if len(waits) < WAITS:
         return np.linspace(0.01, 1.0, WAITS - 1)
     edges, waits = np.quantile(waits, np.linspace(0, 1, WAITS + 1)[1:-1]), np.sort(waits)
-    alike = 0.005  # of a wait: what is told of a silence that the pixels keep, and stamps, err by less
+    alike = 0.005  # of a wait: a silence as it was found, and stamps, err by less
     around = [np.searchsorted(waits, edges * (1.0 + side * alike)) for side in (-1, 1)]
     crowded = around[1] - around[0] > 0.5 * len(waits) / WAITS
     return np.where(crowded, edges * (1.0 - 2.0 * alike), edges)

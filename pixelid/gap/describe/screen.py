@@ -83,7 +83,7 @@ def _promise(g: float, by_fitted: np.ndarray, information: np.ndarray) -> tuple[
     cross = information[-1, :-1]
     solved = np.linalg.lstsq(information[:-1, :-1], np.column_stack([cross, by_fitted]), rcond=1e-12)[0]
     variance = float(information[-1, -1] - cross @ solved[:, 0])
-    min_share_unfitted = 1e-3  # of a score's variance that must be left beside the fitted parameters
+    min_share_unfitted = 1e-3  # of a score's variance that must be left when the fitted parameters are projected out
     if not variance > min_share_unfitted * information[-1, -1]:
         return None
     score = g - float(cross @ solved[:, 1])

@@ -21,7 +21,7 @@ FIT, SELECT = 0, 1  # roles of stretches
 LIGHT_SPREAD = "light_spread"  # which only pooled counts have
 # Counts in bins of 50 µs blur what moves single events, and an event lost is a pixel fewer or a higher threshold.
 NOT_IN_COUNTS = {"timestamp_jitter", "lost_events"}
-ONLY_IN_COUNTS = (LIGHT_SPREAD, "readout_latency", READOUT)
+ONLY_IN_COUNTS = (LIGHT_SPREAD, "readout_latency")
 
 
 @dataclass(frozen=True)
@@ -91,6 +91,5 @@ def effects_to_try(stretches: Stretches, model: Model, leave_out: Sequence[str])
     shaped = any(r.stimulus is not None and r.stimulus.unit == "shape" for r in stretches.whole.recordings)
     # where the light is known up to an offset, dark current is that offset
     skip = {*leave_out, *NOT_IN_COUNTS, *(("dark_current",) if shaped else ())}
-    skip |= {READOUT}
     there = [*missing(model), *(effect for effect in ONLY_IN_COUNTS if not model.has(effect))]
     return [effect for effect in there if effect not in skip]

@@ -95,19 +95,12 @@ class Stretches:
 
     def fit(self, model: Model, nuisances: Mapping[str, float], likelihood: PooledRate, steps: int) -> Fitted:
         """The model fitted to a part of the stretches."""
-        objective = PooledRateObjective(likelihood, self._coordinates(model, nuisances))
-        end = newton.maximise(
-            objective, objective.coordinates.start, tolerance=0.1 * self.dispersion, max_steps=steps
-        )  # fmt: skip
-        return self._fitted(objective.coordinates, end.x, likelihood)
-
-    def _coordinates(self, model: Model, nuisances: Mapping[str, float]) -> Coordinates:
-        return Coordinates.of(model, tuple(p.at(p.within(nuisances[p.name])) for p in self.nuisances))
-
-    def _fitted(self, coordinates: Coordinates, x: np.ndarray, likelihood: PooledRate) -> Fitted:
-        expected = likelihood.expected(coordinates.circuit(x), coordinates.values(x))
+        coordinates = Coordinates.of(model, tuple(p.at(p.within(nuisances[p.name])) for p in self.nuisances))
+        objective = PooledRateObjective(likelihood, coordinates)
+        end = newton.maximise(objective, coordinates.start, tolerance=0.1 * self.dispersion, max_steps=steps)
+        expected = objective.expected(end.x)
         value = likelihood.log_likelihood(expected) / self.dispersion
-        return Fitted(coordinates.model_at(x), coordinates, x, expected, value)
+        return Fitted(coordinates.model_at(end.x), coordinates, end.x, expected, value)
 
     def near(self, model: Fitted) -> Stretches:
         """The same with the variances of counts of another model, and what counts scatter about it."""
@@ -270,24 +263,20 @@ def closed_gap(
     def table(values):
         return np.bincount(units * k + cell, values[confirm], (units.max() + 1) * k).reshape(-1, k)
 
-    runs = [None, None]
+    observed, before, after = table(stretches.whole.observed), table(base.expected), table(grown.expected)
+    scatter, pools = table(stretches.dispersion * stretches.whole.ratio * grown.expected), None
     if any(stretches.whole.cycles):
-        runs = [stretches.free_run(model, POOLS, seed) for model in (base, grown)]
-    if runs[0] is None or runs[1] is None:
-        before, after = table(base.expected), table(grown.expected)
-        scatter = table(stretches.dispersion * stretches.whole.ratio * grown.expected)
-    else:
-        before, pools = table(runs[0].mean(axis=0)), np.array([table(pool) for pool in runs[1]])
-        after, scatter = pools.mean(axis=0), None
-    observed = table(stretches.whole.observed)
+        free_base, free_grown = (stretches.free_run(model, POOLS, seed) for model in (base, grown))
+        if free_base is not None and free_grown is not None:
+            before, pools = table(free_base.mean(axis=0)), np.array([table(pool) for pool in free_grown])
+            after = pools.mean(axis=0)
 
     def gaps(rows) -> tuple[float, float]:
         mu = after[rows].sum(axis=0)
         shown = mu > criteria.min_cell_events
-        if scatter is None:
+        chance = scatter[rows].sum(axis=0)[shown]
+        if pools is not None:
             chance = (1.0 + 1.0 / POOLS) * np.maximum(pools[:, rows].sum(axis=1).var(axis=0, ddof=1)[shown], 1.0)
-        else:
-            chance = scatter[rows].sum(axis=0)[shown]
         return tuple(
             float(np.mean((observed[rows].sum(axis=0) - model[rows].sum(axis=0))[shown] ** 2 / chance))
             for model in (before, after)
