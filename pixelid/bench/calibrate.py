@@ -92,12 +92,16 @@ def calibrate(
     session = checked.session
     recordings = only(checked.recordings, session.pixels)
     stages = Stages(resume, _inputs(checked, base, roi, pixels, search, seed))
-    recordings = stages.run(
-        "field",
-        lambda: with_even_field(recordings, base, seed, _part(report, CHECKED, EVENED)),
-        lambda made, folder: write_json(folder / FIELD, [r.attributes.get(GAINS) for r in made]),
-        lambda folder: _with_gains(recordings, json.loads((folder / FIELD).read_text())),
-    )
+
+    def evened(name: str, make: Callable[[], list[Recording]]) -> list[Recording]:
+        return stages.run(
+            name,
+            make,
+            lambda made, folder: write_json(folder / FIELD, [r.attributes.get(GAINS) for r in made]),
+            lambda folder: _with_gains(recordings, json.loads((folder / FIELD).read_text())),
+        )
+
+    recordings = evened("field", lambda: with_even_field(recordings, base, seed, _part(report, CHECKED, EVENED)))
     searched: GapReport | None = None
     begin, starts = base, STARTS
     if search:  # fits the base on its way, so that what follows begins at an optimum
@@ -118,6 +122,8 @@ def calibrate(
         )
 
     grown = searched is not None and bool(searched.effects or searched.described)
+    if searched is not None and grown:
+        recordings = evened("grown field", lambda: with_field_under(recordings, searched.model))
     last = fitted("fit", with_stated_only(searched.model) if searched is not None and grown else begin, SEARCHED)
     first = fitted("base", begin, SEARCHED) if grown else last
     report("checking on other pixels", REFITTED)
@@ -158,9 +164,15 @@ def with_even_field(recordings: Sequence[Recording], base: Model, seed: int, rep
     rng, settings = np.random.default_rng(seed), Settings(engine_named("casadi"), between=BETWEEN, seed=seed)
     ready = prepare(few(recordings, ROUGH_EVENTS, rng), base, None, None, settings.form, False)
     rough = search_event_times(ready.recordings, ready.model, None, settings, rng, report)
+    return with_field_under(recordings, rough.objective.coordinates.model_at(rough.optimum.x))
+
+
+def with_field_under(recordings: Sequence[Recording], model: Model) -> list[Recording]:
+    """The recordings, which know how pixels differ where that shows under a fitted model."""
+    if not all(r.stimulus is not None and r.stimulus.full_field for r in recordings):
+        return list(recordings)
     fine = [with_fine_light(recording, BETWEEN) for recording in as_fitted(recordings)]
-    objective = EventTimesObjective(EventTimes(fine), rough.objective.coordinates)
-    field = field_of(objective, rough.optimum.x)
+    field = field_of(EventTimes(fine), model.circuit())
     return list(recordings) if field is None else field.on(recordings)
 
 

@@ -13,9 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pixelid.fit.event_times import EventTimesObjective
+from pixelid.likelihood.event_times import EventTimes
 from pixelid.recordings.bench import gains_of_pixels, with_pixel_gains
 from pixelid.recordings.recording import Recording
+from pixelid.stages.circuit import Circuit
 
 STEP, FARTHEST = 0.02, 0.2  # of ln light: gains that are tried; a pixel's log-likelihood is a parabola about its best
 SCALES = np.concatenate([[0.0], np.geomspace(1e-3, 0.5, 200)])  # of s, in which the best is looked for
@@ -34,14 +35,13 @@ class Field:
         return [with_pixel_gains(r, self.pixels, gains_of_pixels(r, self.pixels) + self.gains) for r in recordings]
 
 
-def field_of(objective: EventTimesObjective, x: np.ndarray) -> Field | None:
-    """How the field differs from what the objective's recordings have; None where nothing shows.
+def field_of(likelihood: EventTimes, circuit: Circuit) -> Field | None:
+    """How the field differs from what the likelihood's recordings have; None where nothing shows.
 
     Args:
-        objective: Of event times under full-field light.
-        x: (d,) its optimum.
+        likelihood: Of event times under full-field light.
+        circuit: Where that is greatest.
     """
-    likelihood, circuit = objective.likelihood, objective.circuit(x)
     trials = STEP * np.arange(-round(FARTHEST / STEP), round(FARTHEST / STEP) + 1)
     values = np.array([likelihood.terms(circuit.brighter_by(float(np.exp(trial)))).per_pixel for trial in trials])
     best = np.clip(np.argmax(np.where(np.isfinite(values), values, -np.inf), axis=0), 1, len(trials) - 2)

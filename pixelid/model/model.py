@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from numbers import Real
+from pathlib import Path
 from typing import Any
 
 from pixelid import stages
 from pixelid.errors import InputError, did_you_mean, shown
+from pixelid.outputs import whole_file
 from pixelid.parameters.gauge import Gauge
 from pixelid.parameters.invariants import Physical
 from pixelid.parameters.parameter import RATE_UNIT, Parameter
@@ -296,6 +298,18 @@ class Model:
         wanted = expected_parameters(kind, effects)
         model = replace(self, photoreceptor=kind, effects=effects, parameters={key: parameters[key] for key in wanted})
         return model.set(full)
+
+    def save(self, path: str | Path, *, overwrite: bool = False) -> Path:
+        """Write the model file that `find_model` and every command read.
+
+        Raises:
+            InputError: A file that is there, without `overwrite`; a disk that cannot be written.
+        """
+        from pixelid.model.files import save_model
+
+        with whole_file(Path(path), overwrite) as part:
+            save_model(self, part)
+        return Path(path)
 
     def without_effect(self, name: str, photoreceptor_left: str = "one_pole") -> Model:
         """The model without an effect; unchanged when it has none.

@@ -36,12 +36,16 @@ def objective_of(recordings):
     return EventTimesObjective(EventTimes(fine), Coordinates.of(model))
 
 
+def at_start(objective):
+    return field_of(objective.likelihood, objective.circuit(objective.coordinates.start))
+
+
 def test_gains_are_found_and_explain_the_events():
     gains = 0.05 * np.random.default_rng(4).normal(size=PIXELS)
     gains -= gains.mean()
     recording = recorded(gains, 1)
     objective = objective_of([recording])
-    field = field_of(objective, objective.coordinates.start)
+    field = at_start(objective)
     assert field is not None
     assert field.sd == pytest.approx(0.05, rel=0.6)
     np.testing.assert_allclose(field.gains, gains, atol=0.015)
@@ -60,7 +64,7 @@ def test_gains_are_found_and_explain_the_events():
 
 def test_an_even_field_has_none():
     objectives = [objective_of([recorded(np.zeros(PIXELS), k)]) for k in range(6)]
-    flagged = [field_of(objective, objective.coordinates.start) for objective in objectives]
+    flagged = [at_start(objective) for objective in objectives]
     assert flagged == [None] * 6  # one in 170 such runs has one of six by chance
 
 

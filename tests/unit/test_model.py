@@ -257,3 +257,12 @@ def test_a_model_in_one_recording_keeps_how_far_its_clock_may_be_off():
     wide = replace(CLOCK_DELAY, name="alignment.delay_s[slow]", lower=-0.1, upper=0.1, value=-0.03)
     model = replace(find_model("dvs128"), nuisances={wide.name: wide})
     assert model.in_recording("slow").circuit().delay == pytest.approx(-0.03)
+
+
+def test_a_model_is_saved_whole_and_never_over_another(tmp_path):
+    model = find_model("dvs128").with_effect("leak", rate_hz=2.0)
+    path = model.save(tmp_path / "mine.toml")
+    assert find_model(path) == model
+    with pytest.raises(InputError, match="exists already"):
+        model.without_effect("leak").save(path)
+    assert find_model(path) == model

@@ -10,6 +10,7 @@ import numpy as np
 from pixelid.cluster import Work
 from pixelid.fit.cache import FitCache, map_fits
 from pixelid.fit.coordinates import Coordinates
+from pixelid.fit.field import Field, field_of
 from pixelid.fit.maximise import Maximum, maximise, maximise_with_restarts
 from pixelid.fit.starts import feasible, longest_dead_time, random_starts
 from pixelid.gap.criteria import Criteria
@@ -17,6 +18,7 @@ from pixelid.gap.detect.diagnostics import chance_of_background
 from pixelid.gap.split import Split
 from pixelid.likelihood.event_times import EventTimes
 from pixelid.model.model import Model
+from pixelid.recordings.bench import pixel_gains
 from pixelid.recordings.own_light import with_fine_light
 from pixelid.recordings.recording import Recording
 from pixelid.recordings.selection import few, only
@@ -246,6 +248,29 @@ def reconsider_stimuli(
     if end.value <= fit.value:
         return evidence, fit
     return other, maximise(other.training, end.model, tolerance=0.01, max_steps=40, cache=cache)
+
+
+def reconsider_field(
+    evidence: PixelEvidence,
+    recordings: Sequence[Recording],
+    model: Model,
+    fit: Maximum,
+    weights: Circuit,
+    seed: int,
+    cache: FitCache | None = None,
+) -> tuple[Field | None, PixelEvidence, Maximum]:
+    """How pixels differ still under the grown model, where a poorer one said what each sees; evidence and fit with it.
+
+    Args:
+        evidence, recordings, model, fit, weights, seed, cache: As in `reconsider_stimuli`.
+    """
+    if not any(len(pixel_gains(r)[0]) for r in recordings):
+        return None, evidence, fit
+    field = field_of(EventTimes(evidence.recordings), fit.model.circuit())
+    if field is None:
+        return None, evidence, fit
+    other = gather_evidence(field.on(recordings), evidence.split, model, evidence.between, seed).weighed(weights)
+    return field, other, maximise(other.training, fit.model, tolerance=0.01, max_steps=40, cache=cache)
 
 
 def relative_noise(model: Model) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 from pixelid import stages
 from pixelid.fit.maximise import Maximum, maximise, maximise_with_restarts
@@ -28,6 +29,7 @@ from pixelid.gap.detect.pixels import (
     PixelEvidence,
     at_rest,
     is_noisy,
+    reconsider_field,
     reconsider_stimuli,
     relative_noise,
 )
@@ -196,21 +198,23 @@ def grown_by(state: State, winner: Candidate[Maximum], evidence: PixelEvidence, 
     start = replace(hypothesis.start.with_effect(winner.effect), nuisances=winner.end.model.nuisances)
     model = canonical(winner.end.model, state.model)
 
-    def fitted(origin: Model, seen: PixelEvidence = evidence) -> Maximum:
+    def fitted(seen: PixelEvidence, origin: Model) -> Maximum:
         return maximise_with_restarts(seen.training, origin, start, tolerance=0.01, max_steps=40, cache=cache)
 
-    fit = fitted(model)
-    if fit.model.has(JITTER):
-        evidence, fit = at_rest(evidence, fit, lambda seen, origin: fitted(origin, seen))
+    evidence, fit = at_rest(evidence, fitted(evidence, model), fitted)
     if winner.effect == SLEW:  # few pixels may not reach the limit of one side
-        fit = slewing_both_ways(evidence.training, fit, fitted)
+        fit = slewing_both_ways(evidence.training, fit, partial(fitted, evidence))
     state, fit, start = _pruned(state, winner, evidence, fit, start, context)
     if state.imputation is not None and state.imputed:
         imputation, model = impute_with_effect(state.imputation, fit.model, options, cache)
         lost = state.lost + imputation.lost[len(state.imputation.lost) :]
         return at_times_anew(replace(state, imputation=imputation, lost=lost), model, start, context)
-    weights = (fit if fit.model.has(JITTER) else hypothesis.fit).model.circuit()
-    evidence, fit = reconsider_stimuli(evidence, hypothesis.recordings, state.model, fit, weights, options.seed, cache)
+    known = fit.model.circuit(), options.seed, cache
+    field, evidence, fit = reconsider_field(evidence, hypothesis.recordings, state.model, fit, *known)
+    if field is not None:
+        hypothesis = replace(hypothesis, recordings=tuple(field.on(hypothesis.recordings)))
+        state = replace(state, recordings=tuple(field.on(state.recordings)))
+    evidence, fit = reconsider_stimuli(evidence, hypothesis.recordings, state.model, fit, *known)
     allowed = None if state.undone else options.criteria.max_unexplained_fraction
     seen = diagnose(evidence.training, fit, options.criteria, options.seed, background_fraction=allowed)
     grown = Hypothesis(hypothesis.recordings, evidence, fit, seen, start, None, hypothesis.jitter, hypothesis.scatter)
