@@ -25,6 +25,7 @@ from pixelid.nerf.pixel.maps import PixelMaps, maps_of_sensor
 from pixelid.nerf.pixel.model import FILTER, Bandwidth
 from pixelid.nerf.shown.beside import Beside
 from pixelid.nerf.shown.evaluate import Scores, evaluate, evaluate_as_published, no_scores
+from pixelid.nerf.shown.given import Given
 from pixelid.nerf.shown.preview import refuse_preview, write_preview
 from pixelid.nerf.shown.saved import SavedReconstruction
 from pixelid.nerf.training import checkpoint, parallel
@@ -60,7 +61,8 @@ class Reconstruction(SavedReconstruction):
 
     state: of the training in the end;  recipe: how it was trained;  scores: of the test views, NaN when it diverged;
     truth: the test views;  published: scores by the reference implementation's protocol, on request;  beside: another
-    scene of the same data;  left: what events say beyond the scene in the end, where effects were looked for
+    scene of the same data;  left: what events say beyond the scene in the end, where effects were looked for;  given:
+    what it starts from, as a picture
     """
 
     state: State
@@ -71,6 +73,7 @@ class Reconstruction(SavedReconstruction):
     published: Scores | None
     beside: Beside | None
     left: Left | None
+    given: Given
 
     def write_companions(self, folder: Path) -> None:
         """Write field.npz, the scene, camera_poses.npz where poses were refined, and residuals.npz after `gap`."""
@@ -205,7 +208,8 @@ def reconstruct(
         "versions": versions(),
         "inputs_sha256": inputs,
     }
-    return Reconstruction(content, state.field, state, problem, recipe, scores, truth, published, other, left)
+    given = Given.of(dataset, truth, problem.low, problem.high)
+    return Reconstruction(content, state.field, state, problem, recipe, scores, truth, published, other, left, given)
 
 
 def _of_scores(scores: Scores, published: Scores | None, truth: Views) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from pixelid.figures.style import INK, MOST_WIDTH, OFF, ON, legend_above, new_ax
 from pixelid.nerf.reconstruct import Reconstruction
 from pixelid.nerf.shown.beside import write_slider
 from pixelid.nerf.shown.figures import hide_ticks_and_frames
+from pixelid.nerf.shown.given import draw_given
 from pixelid.nerf.training.residuals import Left
 
 SHOWN = 5
@@ -19,8 +20,9 @@ TITLE_HEIGHT = 0.25  # inches, of a line of text
 
 
 def write_figures(result: Reconstruction, folder: Path) -> None:
-    """Write views.svg, the slider's pictures, training.svg and, after a search for effects, gap.svg and what is left
-    in the end: final.svg and pixels.svg."""
+    """Write given.svg, views.svg, the slider's pictures, training.svg and, after a search for effects, gap.svg and what
+    is left in the end: final.svg and pixels.svg."""
+    save_figure(draw_given(result.given), folder / "given.svg")
     if len(result.truth):
         save_figure(draw_views(result), folder / "views.svg")
         write_slider(result.truth, result.scores, result.beside, folder)
