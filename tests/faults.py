@@ -168,9 +168,26 @@ def failing(folder: Path, fault: str = "", nth: int = 1, code: int = errno.EIO) 
         calls.fault_arm(b"", 0, 1, 0, 0)
 
 
+def left_to_go_on(folder: Path) -> list[Path]:
+    """What a run that did not end keeps beside its result for the next one, and a picture of how far it came."""
+    return [*folder.glob(".*"), *folder.glob("out*.tiles*"), *folder.glob("out.preview.png")]
+
+
+def tidy(folder: Path) -> None:
+    """Remove what is kept to go on."""
+    for left in left_to_go_on(folder):
+        shutil.rmtree(left) if left.is_dir() else left.unlink()
+
+
 def contents(folder: Path) -> dict[str, bytes]:
     """Every file below a folder; locks of processes that ended go with the next run."""
     return {str(f.relative_to(folder)): f.read_bytes() for f in sorted(folder.rglob("*")) if f.is_file()}
+
+
+def without_kept(files: dict[str, bytes]) -> dict[str, bytes]:
+    """The files of `contents` but those of `left_to_go_on`."""
+    kept = ("tiles", "out.preview.png")
+    return {n: content for n, content in files.items() if not (n.startswith(".") or any(part in n for part in kept))}
 
 
 def complaint(outcome: Outcome, before: dict[str, bytes], after: dict[str, bytes]) -> str:
@@ -180,7 +197,7 @@ def complaint(outcome: Outcome, before: dict[str, bytes], after: dict[str, bytes
     if outcome.code == 2:
         if len(outcome.said.strip().splitlines()) != 1:
             return f"not one line: {outcome.said[:300]!r}"
-        kept = {name: content for name, content in after.items() if "tiles" not in name and not name.startswith(".out")}
+        kept = without_kept(after)
         return "" if kept == before else f"changed: {sorted(set(kept.items()) ^ set(before.items()))[:1]!s:.300}"
     if outcome.code not in (0, 1):
         return f"exit code {outcome.code}: {outcome.said[:300]}"
@@ -210,8 +227,7 @@ def faults_of(name: str, folder: Path, most: int = MOST_CALLS) -> dict[str, dict
             entry["refused"] += outcome.code == 2
             entry["survived"] += not said
             entry["complaint"] = entry["complaint"] or (f"call {n} of {count}: {said}" if said else "")
-            for left in (*folder.glob(".*"), *folder.glob("out*.tiles*")):  # what is kept to go on
-                shutil.rmtree(left) if left.is_dir() else left.unlink()
+            tidy(folder)
             before = contents(folder)
     return found
 
@@ -230,11 +246,6 @@ def numbers(folder: Path) -> dict[str, Any]:
 
         found["events"] = open_recording(file).events.t.tolist()
     return found
-
-
-def _left(folder: Path) -> list[str]:
-    """What an interrupted run has left beside its result."""
-    return [file.name for file in (*folder.glob(".out*"), *folder.glob("out.tiles*"))]
 
 
 def kills_of(name: str, folder: Path, count: int, seed: int) -> dict[str, Any]:
@@ -261,10 +272,10 @@ def kills_of(name: str, folder: Path, count: int, seed: int) -> dict[str, Any]:
                 entry["complaint"] = entry["complaint"] or f"exit code {again.code}: {again.said[:300]}"
                 continue
         same = numbers(folder) == wanted
-        if same and _left(folder):  # killed between the result and the tidying, which the next run does
+        if same and left_to_go_on(folder):  # killed between the result and the tidying, which the next run does
             again = run([*words, "--overwrite"], folder)
             same = again.code == whole.code and numbers(folder) == wanted
-        left = _left(folder)
+        left = [file.name for file in left_to_go_on(folder)]
         entry["equal"] += same and not left
         entry["complaint"] = (
             entry["complaint"] or ("" if same else "other numbers") or (f"left: {left}" if left else "")
@@ -294,15 +305,13 @@ def interrupts_of(name: str, folder: Path, count: int, seed: int) -> dict[str, A
         if code == NOT_BEGUN or (code in (0, 1) and after.keys() == before.keys()):
             before = after
             continue  # it had not begun, or was faster
-        kept = {name: content for name, content in after.items() if "tiles" not in name and not name.startswith(".out")}
-        said = f"exit code {code}" if code != 130 else "" if kept == before else "changed"
+        said = f"exit code {code}" if code != 130 else "" if without_kept(after) == before else "changed"
         said = said or (f"took {took:.1f} s" if took > 2.0 else "")
         entry["interrupts"] += 1
         entry["in_two_seconds"] += not said
         entry["slowest_s"] = max(entry["slowest_s"], round(took, 2))
         entry["complaint"] = entry["complaint"] or said
-        for left in (*folder.glob(".*"), *folder.glob("out*.tiles*")):
-            shutil.rmtree(left) if left.is_dir() else left.unlink()
+        tidy(folder)
     return entry
 
 
