@@ -38,6 +38,11 @@ class Diagnostics:
         """Of the events, those without a cause in the model."""
         return float(self.residual.background.mean())
 
+    def leaves_more(self, allowed: float, chance: float) -> bool:
+        """Whether more events lack a cause than, but by such a chance, where a share of all may lack one."""
+        background = self.residual.background
+        return chance_of_background(int(background.sum()), allowed * len(background)) < chance
+
 
 def diagnose(
     likelihood: EventTimes,

@@ -175,7 +175,8 @@ def restart(state: State, context: Context) -> Model | None:
         return None  # paths lie near the model they are of
     if is_noisy(hypothesis.fit.model, state.model):
         return hypothesis.start.set({NOISE: state.model.values[NOISE]})
-    astray = hypothesis.seen.background_fraction > context.options.criteria.max_unexplained_fraction
+    options = context.options
+    astray = hypothesis.seen.leaves_more(options.criteria.max_unexplained_fraction, options.alpha_each)
     return hypothesis.start if astray or not hypothesis.fit.converged else None
 
 
