@@ -31,18 +31,20 @@ Example:
 def command(files: tuple[Path, ...], as_json: bool, out: Path | None, crop, overwrite: bool, seed: int, quiet: bool):
     """Show events, rates, ON/OFF balance, dead time, timestamp tick, periodic lines, hot pixels and readout ceiling.
 
-    FILE is any readable recording: .h5, .hdf5, .npz, .aedat4, .aedat, .raw, .dat, .es, .bag, .db3, .mcap, .mat,
-    .csv, .txt.  Files in .npy are histograms of intervals of a still scene, names ending in pos_161lux, neg_3klux, …:
-    they are inspected together, for leak, parasitic photocurrent and noise.
+    FILE is any readable recording: .h5, .hdf5, .npz, .npy, .aedat4, .aedat, .raw, .dat, .es, .bag, .db3, .mcap, .mat,
+    .csv, .txt.  Names ending in pos_161lux.npy, neg_3klux.npy, … are histograms of intervals of a still scene,
+    inspected together, for leak, parasitic photocurrent and noise.
     """
     import json
 
-    if all(file.suffix == ".npy" for file in files):
+    from pixelid.inspection.interval_counts import is_interval_counts
+
+    if any(map(is_interval_counts, files)):
         _still_scene(files, as_json, out, overwrite, seed, quiet)
         return
     file, *more = files
     if more:
-        raise InputError(f"{more[0]}: one recording at a time; only .npy histograms of intervals come together")
+        raise InputError(f"{more[0]}: one recording at a time, or histograms of intervals (…_pos_161lux.npy)")
     from contextlib import nullcontext
 
     from pixelid.outputs import claimed, plain

@@ -34,6 +34,11 @@ class IntervalCounts:
     counts: np.ndarray
 
 
+def is_interval_counts(path: Path) -> bool:
+    """Whether a file's name says that it holds such histograms, as `…_pos_161lux.npy`; others hold events."""
+    return path.suffix == ".npy" and NAME.search(path.stem) is not None
+
+
 def read_interval_counts(path: Path) -> IntervalCounts:
     """One file `…_pos_161lux.npy`; InputError for anything else."""
     match = NAME.search(path.stem)

@@ -85,8 +85,10 @@ def chosen_stream(arrays: Arrays, options: ReadingOptions, where: str) -> tuple[
     streams = _streams(arrays, options, where)
     names = tuple(stream.name for stream in streams)
     if not streams:
+        found = ", ".join(f"{path} ({', '.join(kind.names)})" if kind.names else path
+                          for path, (kind, _) in arrays.kinds.items())  # fmt: skip
         raise InputError(
-            f"{where}: expected columns t, x, y, p, found {shown(', '.join(arrays.kinds) or 'nothing', 200)}; "
+            f"{where}: expected columns t, x, y, p, found {shown(found or 'nothing', 200)}; "
             "state their names: --columns t=NAME,x=NAME,y=NAME,p=NAME"
         )
     name = chosen_name([stream.name for stream in streams if stream.length], names, options, where)

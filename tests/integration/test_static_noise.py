@@ -144,7 +144,6 @@ def test_files_are_read_as_written(tmp_path):
 @pytest.mark.parametrize(
     ("name", "array", "says"),
     [
-        ("noise.npy", np.zeros((4, 72)), "name ending"),
         ("n_pos_1lux.npy", np.zeros((4, 71)), "shape"),
         ("n_pos_1lux.npy", np.tile(np.arange(72.0)[::-1], (4, 1)), "rise"),
         ("n_pos_1lux.npy", np.full((4, 72), np.nan), "finite"),
@@ -214,3 +213,10 @@ def test_real_noise():
     assert estimate.by_light.leak_hz == pytest.approx(0.055, rel=0.1)
     assert estimate.by_light.parasitic_hz_per_lux == pytest.approx(2.8e-5, rel=0.1)
     assert MIN_INTERVALS > MAX_SLOW
+
+
+def test_an_array_of_events_is_inspected_as_a_recording(tmp_path, capsys):
+    t, across = np.arange(0, 5000, 10), np.arange(500)
+    np.save(tmp_path / "events.npy", np.stack([t, across % 4, across % 3, across % 2]))
+    assert main(["inspect", str(tmp_path / "events.npy")]) == 0
+    assert "500" in capsys.readouterr().out
