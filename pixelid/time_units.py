@@ -25,6 +25,7 @@ _IN_NAME = re.compile(rf"(.*?)\s*(?:[\[({{<]\s*({_UNIT})\s*[\])}}>]|(?:[_/.\s]|\
 _IN_COMMENT = re.compile(
     rf"(?:^|[#%;,.:|/])\s*(?:units? of )?(?:time\s?stamps?|times?|t|clock)\b[^\w\[(]*"
     rf"(?:units?\b\W*|is\b|are\b|in\b|[\[(=:]|\s)+({_UNIT})(?![-\w])"
+    r"(?=\s*[\])}>]?\s*(?:$|[,;|.(\t]|\s(?:t|x|y|p|pol|polarity|col|row|addr|since|from|after|relative|and)\b))"
 )
 
 

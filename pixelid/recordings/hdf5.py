@@ -35,6 +35,7 @@ from pixelid.recordings.layouts import Arrays, Stream, chosen_stream
 from pixelid.recordings.metadata import FORMAT, MOST_SIZE, MOST_TICK_NS, VERSION, assemble, whole, yes_or_no
 from pixelid.recordings.raw import RawEvents
 from pixelid.recordings.recording import Recording
+from pixelid.recordings.rules import is_whole
 from pixelid.recordings.source import ReadingOptions
 from pixelid.recordings.statements import stated_size, stated_unit
 from pixelid.recordings.triggers import COLUMNS, Triggers
@@ -142,6 +143,7 @@ def _foreign(file, path: Path, attributes: dict, options: ReadingOptions) -> Raw
     groups = [group, *([] if group.name == "/" else [group.parent, file])]
     where = f"{path}: {stream.name}"
     by_layout = any(name in one for one in groups for name in MILLISECONDS) or stream.name == "CD/events"
+    by_layout = by_layout and is_whole(next(stream.blocks(arrays)).t)
     holders = [_entries(one) for one in groups]
     own = {name: _attribute(value) for name, value in file[stream.paths[0]].attrs.items()}
     unit = options.time_unit or stream.unit or stated_unit(own, holders, where) or ("us" if by_layout else None)
@@ -251,11 +253,16 @@ def refuse_foreign_storage(file, path: Path) -> None:
         group, inside = groups.pop()
         for name in group:
             where = f"{inside}{name}"
-            if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+            link = group.get(name, getlink=True)
+            if isinstance(link, h5py.SoftLink):
+                continue  # within the file: what it leads to is looked through where it is
+            if not isinstance(link, h5py.HardLink):
                 raise InputError(f"{path}: {where}: expected data in this file, found a link to elsewhere")
             item = group[name]
             if isinstance(item, h5py.Group):
                 groups.append((item, f"{where}/"))
+            elif isinstance(item, h5py.Datatype):
+                continue
             elif item.is_virtual or item.external:
                 raise InputError(f"{path}: {where}: expected data in this file, found it stored elsewhere")
             elif item.nbytes > small_bytes and item.nbytes > most_ratio * held:

@@ -19,6 +19,7 @@ from pixelid.recordings.events import Events
 from pixelid.recordings.layouts import Arrays, chosen_stream
 from pixelid.recordings.raw import RawEvents
 from pixelid.recordings.recording import Recording
+from pixelid.recordings.rules import is_whole
 from pixelid.recordings.source import SENSOR_SIZES, ReadingOptions
 
 EXPOSURES = "EM"
@@ -56,7 +57,8 @@ def _raw(columns: dict[str, np.ndarray], path: Path, options: ReadingOptions) ->
     kinds = {name: (column.dtype, column.shape) for name, column in columns.items()}
     arrays = Arrays(kinds, lambda names: iter([[columns[name] for name in names]]))
     stream, streams = chosen_stream(arrays, options, str(path))
-    unit = stream.unit or ("us" if stream.name in ("TD", EXPOSURES) else None)
+    layout = stream.name in ("TD", EXPOSURES) and is_whole(next(stream.blocks(arrays)).t)
+    unit = stream.unit or ("us" if layout else None)
     return RawEvents(
         Recording(Events.empty(1, 1), source=path), lambda: stream.blocks(arrays), f"{path}: {stream.name}", unit,
         from_one=True, inferred=stream.inferred, streams=streams,

@@ -51,9 +51,14 @@ def column_name(name: str) -> tuple[str, str | None]:
     return name, unit
 
 
+def is_whole(times: np.ndarray) -> bool:
+    """Whether times are counts of a clock, as a layout whose unit is known has them; fractions are of another unit."""
+    return times.dtype.kind in "iu" or (times.dtype.kind == "f" and bool(np.all(times == np.rint(times))))
+
+
 def numbers_of_words(column: np.ndarray) -> np.ndarray:
     """(n,) polarities from a column of words, ON and OFF, + and −; any other column as it is."""
-    if column.dtype.kind not in "OU" or not {str(word).lower() for word in column[:ROWS]} <= set(WORDS):
+    if column.dtype.kind not in "OU" or not {str(word).strip().lower() for word in column[:ROWS]} <= set(WORDS):
         return column
     values = [WORDS.get(str(word).strip().lower()) for word in column]
     return column if None in values else np.array(values, np.uint8)

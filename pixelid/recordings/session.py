@@ -33,9 +33,9 @@ def agreed(recordings: Sequence[Recording]) -> list[Recording]:
 
 
 def _polarity(recording: Recording, source: Source) -> str | None:
-    """The code of a recording's polarity, where it was not stated in its file and shows."""
+    """The code of a recording's polarity, where it was stated neither in its file nor by the user, and shows."""
     if source.stated.get("polarity"):
-        return str(source.stated["polarity"])
+        return None
     if "polarity" in source.inferred:
         return "−1/1"
     return "0/1" if source.inferred and not recording.events.p.all() else None

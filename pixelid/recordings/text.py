@@ -53,6 +53,7 @@ class _Header:
     chip: tuple[tuple[tuple[int, int], str], ...] = ()
     size: tuple[int | None, int | None] = (None, None)
     lines: int = 0
+    worded: int = 0
     first: str | None = None
     mark: str = SPACES
     decimal: str = "."
@@ -65,6 +66,9 @@ def opened(path: Path, options: ReadingOptions) -> RawEvents:
     with refusing(path, *BINARY):
         header = _header(path)
         sample = next(_frames(path, header, where, ROWS), None)
+    most_names = 2  # lines: names of columns, and their units
+    if sample is None and header.worded > most_names:
+        raise InputError(f"{where}: expected lines of numbers, t x y p, found {shown(header.title, 60)}")
     order, unit, inferred = _order(sample, header, options, where)
     unit = unit or header.meta.get("unit") or header.unit
 
@@ -101,6 +105,7 @@ def _header(path: Path) -> _Header:
                 numbers = sum(NUMBER.fullmatch(cell) is not None for cell in cells)
                 if not numbers or (header.names is not None and any(_units(cells))):
                     header.title = header.title or text  # comes again where files are joined
+                    header.worded += 1
                     _note_names(header, cells if cells[-1] else cells[:-1])
                 elif len(cells) < len("txyp") and not NUMBER.fullmatch(cells[0]):  # width: 640
                     _note(header, text)
@@ -131,7 +136,8 @@ def _note(header: _Header, comment: str) -> None:
 def _note_names(header: _Header, cells: list[str]) -> None:
     """Names of columns, or the units of those that are named in the line before."""
     units = _units(cells)
-    if header.names is not None and len(cells) == len(header.names) and any(units):
+    if header.names is not None and len(cells) <= len(header.names) and any(units):
+        units += [None] * (len(header.names) - len(cells))
         header.names = [f"{name} [{unit}]" if unit else name for name, unit in zip(header.names, units, strict=True)]
         return
     header.names = cells

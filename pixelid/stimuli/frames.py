@@ -203,6 +203,8 @@ def _video(path: Path, options: FrameOptions, notes: list[str]) -> tuple[np.ndar
 
 def _level(picture: np.ndarray, options: FrameOptions, path: Path, notes: list[str]) -> tuple[np.ndarray, float]:
     """(h, w) float32 light of a picture, full scale 1; and the step of a level, before any gamma."""
+    if picture.dtype.kind == "b":  # of one bit
+        picture = picture.astype(np.uint8) * np.uint8(255)
     if picture.ndim == 2:
         picture = picture[..., None]
     if picture.ndim != 3 or picture.shape[2] > 4:

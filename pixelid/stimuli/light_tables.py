@@ -38,8 +38,10 @@ from pixelid.stimuli.light_units import LIGHT_WORDS, has_unit_of_light, is_unit,
 from pixelid.time_units import SECONDS_PER, with_unit
 
 CHANNEL = re.compile(
-    r"c(h(an)?)?\d+v?|channel|volts?|ampl|amplitude|signal|value|pd|diode|photocurrent|current|[a-d]|[1-4]"
+    r"c(h(an)?)?\d+v?|channel|volt(s|age)?|ampl|amplitude|signal|value|pd|diode|photocurrent|current|[a-d]|[1-4]"
 )
+LOGARITHM = re.compile(r"(log|ln|db)\d*$")
+OVERFLOW = 1e30  # what oscilloscopes write for it, as 9.91e37, lies above, and no light does
 MOST_ROWS, MOST_BYTES, HEAD_ROWS = 50_000_000, 2 << 30, 100
 WAY = '; state them in NAME.source.toml: columns = ["time", "light"], by name or number from 1'
 
@@ -145,7 +147,11 @@ def read_table(path: Path, stated: Stated, say: Callable[[str], object]) -> tupl
     time, light = _columns(table, stated, path)
     name = table.names[light].strip() if light < len(table.names) else ""
     unit = stated.unit or unit_of_light(name, table.comments, table.head, path)
-    return _times(table, time, stated.time_unit, path, say), _numbers(table, light, path), unit
+    values = _numbers(table, light, path)
+    if (bad := np.flatnonzero(~(np.abs(values) < OVERFLOW))).size:
+        raise InputError(f"{path}: expected light in every row, found {values[bad[0]]:g} in row {bad[0] + 1}, as an "
+                         f"overflow is written ({bad.size} in all); cut or correct those rows")  # fmt: skip
+    return _times(table, time, stated.time_unit, path, say), values, unit
 
 
 def _parsed(lines: list[str], path: Path, stated: tuple[str | int, ...] = ()) -> _Table:
@@ -205,9 +211,13 @@ def _columns(table: _Table, stated: Stated, path: Path) -> tuple[int, int]:
         found = shown(", ".join(table.names) or ", ".join((table.head or table.rows)[0]), 80)
         raise InputError(f"{path}: expected columns t and radiance in the first line, found {found}{WAY}")
     others = [k for k in filled if k not in times[:1] and words[k]]
-    lights = [k for k in others if any(word in LIGHT_WORDS for word in words[k])]
-    lights = lights or [k for k in others if any(CHANNEL.fullmatch(word) for word in words[k])]
+    lights = [k for k in others if any(word in LIGHT_WORDS or CHANNEL.fullmatch(word) for word in words[k])]
     lights = lights or [k for k in others if has_unit_of_light(table.names[k])]
+    if len(table.names) < max(len([cell for cell in row if cell]) for row in table.rows):
+        raise InputError(f"{path}: expected {len(table.names)} numbers in a row, as columns are named, found more; "
+                         f"decimal commas need quotes or semicolons{WAY}")  # fmt: skip
+    if any(LOGARITHM.match(word) for k in lights for word in words[k]):
+        raise InputError(f"{path}: expected light itself, found its logarithm ({shown(table.names[lights[0]], 40)})")
     if len(lights) != 1:
         found = ", ".join(table.names[k] for k in (lights or others)) or "none"
         raise InputError(f"{path}: expected one column of light (radiance), found {shown(found, 80)}{WAY}")

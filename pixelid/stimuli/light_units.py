@@ -13,8 +13,7 @@ from pixelid.time_units import UNIT_OF, plain
 # Words behind a column's name that are a unit; another may be a part of the name.
 UNITS = (*USUAL, "klux", "cd/m2", "W", "mW", "uW", "nW", "W/cm2", "mW/cm2", "uW/cm2", "V", "mV", "A", "mA", "uA", "nA",
          "pA", "counts", "DN", "photons/s")  # fmt: skip
-LIGHT_WORDS = ("radiance", "irradiance", "illuminance", "light", "photodiode", "luminance", "intensity", "voltage",
-               "lux")  # fmt: skip
+LIGHT_WORDS = "radiance", "irradiance", "illuminance", "light", "photodiode", "luminance", "intensity", "lux"
 UNIT_WORDS = {
     **{unit.lower(): unit for unit in UNITS}, "lx": "lux", "klx": "klux", "w/m²": "W/m2", "w/m^2": "W/m2",
     "w_m2": "W/m2", "wm2": "W/m2", "volt": "V", "volts": "V", "µa": "uA", "µw": "uW", "ampere": "A", "cd/m²": "cd/m2",

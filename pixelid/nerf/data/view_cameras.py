@@ -27,7 +27,8 @@ KEYS = (
     "intrinsics",
 )  # fmt: skip
 # Names of what a camera does to its pictures, of which those that are not read would be lost in silence.
-OF_CAMERA = re.compile(r"[kps]\d|omega|distort.*|ftheta.*|.*rolling_shutter.*|skew|fl_.|focal.*|.*fisheye.*|lens.*|xi")
+OF_CAMERA = re.compile(r"[kps]\d|omega|distort.*|ftheta.*|.*rolling_shutter.*|skew|fl_.|focal.*|.*fisheye.*|lens.*|xi|"
+                       r"K|camera_matrix|principal.*|shift_[xy]")  # fmt: skip
 MOST_ASPECT, MOST_FOCAL = 0.02, 0.01  # relative, of what two statements of one camera may differ by
 
 
@@ -68,7 +69,11 @@ def camera_of_document(file: Path, document: dict, width: int, height: int) -> C
     _refuse_unread(file, document)
     stated = _stated(document)
     if "intrinsics" in stated:
-        return Camera(intrinsics_of(file, stated["intrinsics"]), width, height, np.empty(0))
+        wide, high = stated_size(document) or (width, height)
+        model, distortion = _lens(file, stated)
+        camera = Camera(intrinsics_of(file, stated["intrinsics"]), wide, high, distortion, model)
+        refuse_lens_without_inverse(file, "k1, k2, …", camera)
+        return camera if (wide, high) == (width, height) else camera.resized(width, height)
     if "fl_x" not in stated:
         return _by_angle(file, stated, width, height)
     wide, high = stated_size(document) or (width, height)
