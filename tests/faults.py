@@ -169,7 +169,7 @@ def failing(folder: Path, fault: str = "", nth: int = 1, code: int = errno.EIO) 
 
 
 def left_to_go_on(folder: Path) -> list[Path]:
-    """What a run that did not end keeps beside its result for the next one, and a picture of how far it came."""
+    """What an unfinished run keeps for the next one, and a picture of how far it came."""
     return [*folder.glob(".*"), *folder.glob("out*.tiles*"), *folder.glob("out.preview.png")]
 
 

@@ -159,7 +159,7 @@ def with_even_field(recordings: Sequence[Recording], base: Model, seed: int, rep
 
     A fit of few pixels says how all of them respond; where it lacks an effect, pixels still differ by their light.
     """
-    if not all(r.stimulus is not None and r.stimulus.full_field for r in recordings):
+    if not _of_full_field(recordings):
         return list(recordings)
     rng, settings = np.random.default_rng(seed), Settings(engine_named("casadi"), between=BETWEEN, seed=seed)
     ready = prepare(few(recordings, ROUGH_EVENTS, rng), base, None, None, settings.form, False)
@@ -167,9 +167,13 @@ def with_even_field(recordings: Sequence[Recording], base: Model, seed: int, rep
     return with_field_under(recordings, rough.objective.coordinates.model_at(rough.optimum.x))
 
 
+def _of_full_field(recordings: Sequence[Recording]) -> bool:
+    return all(r.stimulus is not None and r.stimulus.full_field for r in recordings)
+
+
 def with_field_under(recordings: Sequence[Recording], model: Model) -> list[Recording]:
     """The recordings, which know how pixels differ where that shows under a fitted model."""
-    if not all(r.stimulus is not None and r.stimulus.full_field for r in recordings):
+    if not _of_full_field(recordings):
         return list(recordings)
     fine = [with_fine_light(recording, BETWEEN) for recording in as_fitted(recordings)]
     field = field_of(EventTimes(fine), model.circuit())

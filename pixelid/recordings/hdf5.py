@@ -21,6 +21,7 @@ import contextlib
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -143,7 +144,7 @@ def _foreign(file, path: Path, attributes: dict, options: ReadingOptions) -> Raw
     groups = [group, *([] if group.name == "/" else [group.parent, file])]
     where = f"{path}: {stream.name}"
     by_layout = any(name in one for one in groups for name in MILLISECONDS) or stream.name == "CD/events"
-    by_layout = by_layout and is_whole(next(stream.blocks(arrays)).t)
+    by_layout = by_layout and all(is_whole(one.t) for one in islice(stream.blocks(arrays), 1))
     holders = [_entries(one) for one in groups]
     own = {name: _attribute(value) for name, value in file[stream.paths[0]].attrs.items()}
     unit = options.time_unit or stream.unit or stated_unit(own, holders, where) or ("us" if by_layout else None)

@@ -212,7 +212,7 @@ def _columns(table: _Table, stated: Stated, path: Path) -> tuple[int, int]:
         raise InputError(f"{path}: expected columns t and radiance in the first line, found {found}{WAY}")
     others = [k for k in filled if k not in times[:1] and words[k]]
     lights = [k for k in others if any(word in LIGHT_WORDS or CHANNEL.fullmatch(word) for word in words[k])]
-    lights = [k for k in lights if words[k] != ["channel"]] or lights  # which beside another is a channel's number
+    lights = [k for k in lights if words[k] != ["channel"]] or lights  # that column holds numbers of channels
     lights = lights or [k for k in others if has_unit_of_light(table.names[k])]
     if len(table.names) < max(len([cell for cell in row if cell]) for row in table.rows):
         raise InputError(f"{path}: expected {len(table.names)} numbers in a row, as columns are named, found more; "

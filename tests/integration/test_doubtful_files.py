@@ -76,6 +76,14 @@ def test_times_with_fractions_are_not_in_the_unit_of_their_layout(tmp_path):
         np.testing.assert_allclose(open_recording(tmp_path / name).events.t, T_US * 1000 + 100, atol=1)
 
 
+def test_a_layout_without_events_is_empty(tmp_path):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        for name in "txyp":
+            file[f"events/{name}"] = np.zeros(0, np.int64)
+        file["ms_to_idx"] = np.zeros(1, np.int64)
+    assert len(open_recording(tmp_path / "a.h5").events) == 0
+
+
 def test_links_within_a_file_and_named_types_are_no_data_elsewhere(tmp_path):
     with h5py.File(tmp_path / "a.h5", "w") as file:
         for name, column in zip("txyp", (T_US, X, Y, P), strict=True):

@@ -144,6 +144,7 @@ def test_files_are_read_as_written(tmp_path):
 @pytest.mark.parametrize(
     ("name", "array", "says"),
     [
+        ("noise.npy", np.zeros((4, 72)), "state it"),  # events, by its name
         ("n_pos_1lux.npy", np.zeros((4, 71)), "shape"),
         ("n_pos_1lux.npy", np.tile(np.arange(72.0)[::-1], (4, 1)), "rise"),
         ("n_pos_1lux.npy", np.full((4, 72), np.nan), "finite"),

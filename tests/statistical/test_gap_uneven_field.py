@@ -1,4 +1,4 @@
-"""The gap search under an uneven field: what pixels see is told again by the model that has grown."""
+"""The gap search under an uneven field: gains of pixels are estimated again with the grown model."""
 
 from dataclasses import replace
 

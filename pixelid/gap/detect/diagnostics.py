@@ -38,8 +38,8 @@ class Diagnostics:
         """Of the events, those without a cause in the model."""
         return float(self.residual.background.mean())
 
-    def leaves_more(self, allowed: float, chance: float) -> bool:
-        """Whether more events lack a cause than, but by such a chance, where a share of all may lack one."""
+    def has_excess_background(self, allowed: float, chance: float) -> bool:
+        """Whether so many events without a cause are less likely than `chance`, where a share is `allowed`."""
         background = self.residual.background
         return chance_of_background(int(background.sum()), allowed * len(background)) < chance
 

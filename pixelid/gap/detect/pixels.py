@@ -255,21 +255,19 @@ def reconsider_field(
     recordings: Sequence[Recording],
     model: Model,
     fit: Maximum,
-    weights: Circuit,
     seed: int,
     cache: FitCache | None = None,
 ) -> tuple[Field | None, PixelEvidence, Maximum]:
-    """How pixels differ still under the grown model, where a poorer one said what each sees; evidence and fit with it.
+    """How pixels still differ under the grown model, where gains were estimated without it; evidence and fit with that.
 
     Args:
-        evidence, recordings, model, fit, weights, seed, cache: As in `reconsider_stimuli`.
+        evidence, recordings, model, fit, seed, cache: As in `reconsider_stimuli`.
     """
-    if not any(len(pixel_gains(r)[0]) for r in recordings):
-        return None, evidence, fit
-    field = field_of(EventTimes(evidence.recordings), fit.model.circuit())
+    circuit, uneven = fit.model.circuit(), any(len(pixel_gains(r)[0]) for r in recordings)
+    field = field_of(EventTimes(evidence.recordings), circuit) if uneven else None
     if field is None:
         return None, evidence, fit
-    other = gather_evidence(field.on(recordings), evidence.split, model, evidence.between, seed).weighed(weights)
+    other = gather_evidence(field.on(recordings), evidence.split, model, evidence.between, seed).weighed(circuit)
     return field, other, maximise(other.training, fit.model, tolerance=0.01, max_steps=40, cache=cache)
 
 

@@ -176,7 +176,7 @@ def restart(state: State, context: Context) -> Model | None:
     if is_noisy(hypothesis.fit.model, state.model):
         return hypothesis.start.set({NOISE: state.model.values[NOISE]})
     options = context.options
-    astray = hypothesis.seen.leaves_more(options.criteria.max_unexplained_fraction, options.alpha_each)
+    astray = hypothesis.seen.has_excess_background(options.criteria.max_unexplained_fraction, options.alpha_each)
     return hypothesis.start if astray or not hypothesis.fit.converged else None
 
 
@@ -210,12 +210,12 @@ def grown_by(state: State, winner: Candidate[Maximum], evidence: PixelEvidence, 
         imputation, model = impute_with_effect(state.imputation, fit.model, options, cache)
         lost = state.lost + imputation.lost[len(state.imputation.lost) :]
         return at_times_anew(replace(state, imputation=imputation, lost=lost), model, start, context)
-    known = fit.model.circuit(), options.seed, cache
-    field, evidence, fit = reconsider_field(evidence, hypothesis.recordings, state.model, fit, *known)
+    weights = fit.model.circuit()
+    field, evidence, fit = reconsider_field(evidence, hypothesis.recordings, state.model, fit, options.seed, cache)
     if field is not None:
         hypothesis = replace(hypothesis, recordings=tuple(field.on(hypothesis.recordings)))
         state = replace(state, recordings=tuple(field.on(state.recordings)))
-    evidence, fit = reconsider_stimuli(evidence, hypothesis.recordings, state.model, fit, *known)
+    evidence, fit = reconsider_stimuli(evidence, hypothesis.recordings, state.model, fit, weights, options.seed, cache)
     allowed = None if state.undone else options.criteria.max_unexplained_fraction
     seen = diagnose(evidence.training, fit, options.criteria, options.seed, background_fraction=allowed)
     grown = Hypothesis(hypothesis.recordings, evidence, fit, seen, start, None, hypothesis.jitter, hypothesis.scatter)
